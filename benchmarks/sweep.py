@@ -21,8 +21,7 @@ from typing import Any
 
 from pwatrack.batch.cluster import Cluster
 from pwatrack.batch.pool import PRELOAD, Pool
-from pwatrack.batch.sweep import PROVED, Edge, Point, places, sweep
-from pwatrack.batch.sweep_files import draw_sweep, write_sweep
+from pwatrack.batch.sweep import PROVED, Edge, Point, draw_sweep, places, sweep, write_sweep
 from pwatrack.spec.axis import Axis, axis
 
 SPEC, WIDTH = Path("specs/two_mass_backlash.yaml"), 1e-3

@@ -13,7 +13,7 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.control.bounds import Bounds
 from pwatrack.control.controller import ProvedController
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline, variation
@@ -403,7 +403,7 @@ def _check(function: str, value: object, *kinds: type) -> None:
         wanted = {Spec: "problem or load_spec", Design: "design", Simulated: "simulate"}
         found = f"{function}: a value of type {type(value).__name__} is none of those that it takes"
         said = " or ".join(wanted[kind] for kind in kinds)
-        raise InvalidSpec(Problem(message=found, subject=None, hint=f"it takes what {said} returned"))
+        raise InvalidSpec(found, subject=None, hint=f"it takes what {said} returned")
 
 
 def _check_plant(spec: Spec, designed: PWASystem) -> None:
@@ -415,7 +415,7 @@ def _check_plant(spec: Spec, designed: PWASystem) -> None:
     )
     if not all(np.array_equal(one, other) for one, other in pairs):
         hint = "other values of parameters in the plant that runs stand in the scenario: simulation.plant.parameters"
-        raise InvalidSpec(Problem(message="simulate: the design is for another plant", subject=None, hint=hint))
+        raise InvalidSpec("simulate: the design is for another plant", subject=None, hint=hint)
 
 
 def _parts(made: Any) -> dict[str, Any]:

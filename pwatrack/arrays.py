@@ -1,6 +1,5 @@
 """Read-only float64 arrays: every matrix in this package is one."""
 
-from collections.abc import Sequence
 from decimal import ROUND_CEILING, Context
 from typing import Any
 
@@ -16,42 +15,17 @@ OVER_SUMS = 1 + 1e-12  # more than the rounding of a sum of products
 OVER_POWERS = 1 + 1e-9  # more than the rounding of a few operations and exponentials
 
 
-def readonly(values: Any, *, shape: Sequence[int | None] | None = None, name: str = "array") -> Array:
-    """Return a read-only float64 copy of `values`.
-
-    Args:
-        values: Anything NumPy can turn into numbers.
-        shape: Expected shape; `None` in a place accepts any length there.
-        name: What to call the array in an error message.
-
-    Raises:
-        ValueError: If the shape is wrong or an entry is not finite.
-
-    Example:
-        >>> readonly([[1, 2]], shape=(1, None)).flags.writeable
-        False
-    """
+def readonly(values: Any) -> Array:
+    """Return a read-only float64 copy of numbers, all of which have to be finite: else a ValueError."""
     array = np.array(values, dtype=np.float64)
-    if shape is not None:
-        wanted = tuple(shape)
-        fits = array.ndim == len(wanted) and all(
-            w is None or w == got for w, got in zip(wanted, array.shape, strict=True)
-        )
-        if not fits:
-            raise ValueError(f"{name} has shape {array.shape}, expected {wanted}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} has an entry that is not finite")
+        raise ValueError("array has an entry that is not finite")
     array.flags.writeable = False
     return array
 
 
 def symmetric_part(X: Array) -> Array:
-    """Return sym(X) = X + Xᵀ, for one matrix or a stack.
-
-    Example:
-        >>> symmetric_part(np.array([[1.0, 2.0], [0.0, 3.0]])).tolist()
-        [[2.0, 2.0], [2.0, 6.0]]
-    """
+    """Return sym(X) = X + Xᵀ, for one matrix or a stack."""
     result: Array = X + np.swapaxes(X, -1, -2)
     return result
 
@@ -70,12 +44,7 @@ def balancing(A: Array) -> Array:
 
 
 def number_text(value: float, form: str = ".5g") -> str:
-    """Return a number as text, 0 without a sign of minus: whoever reads it need not ask where it is from.
-
-    Example:
-        >>> number_text(-0.0), number_text(-0.0, "+.4g"), number_text(-1e-9, ".3f"), number_text(-1.5)
-        ('0', '+0', '0.000', '-1.5')
-    """
+    """Return a number as text, 0 without a sign of minus: whoever reads it need not ask where it is from."""
     text = format(float(value), form)
     return text if any(c in "123456789in" for c in text.partition("e")[0]) else format(0.0, form)
 
@@ -91,12 +60,7 @@ def amount(count: int, what: str) -> str:
 
 
 def up(value: float) -> str:
-    """Return a number in three digits, not smaller.
-
-    Example:
-        >>> up(0.012341), up(5.0)
-        ('0.0124', '5')
-    """
+    """Return a number in three digits, not smaller."""
     return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
 
 

@@ -19,10 +19,6 @@ class BallMatrix:
 
     Sums and products hold every sum and product of what is in them.
 
-    Attributes:
-        centre: (j, k).
-        radius: (j, k), nowhere negative; None where all is exact.
-
     Example:
         >>> A = BallMatrix.of([["1/3", Real(Fraction(2), Fraction(1, 10))]])
         >>> (A @ A.transpose()).texts, A.floats.round(3).tolist()
@@ -31,17 +27,12 @@ class BallMatrix:
         [['0.41']]
     """
 
-    centre: Rational
-    radius: Rational | None = None
+    centre: Rational  # (j, k)
+    radius: Rational | None = None  # (j, k), nowhere negative; None where all is exact
 
     @classmethod
     def of(cls, rows: Any, shape: tuple[int, int] | None = None) -> "BallMatrix":
-        """Return a matrix of numbers as they are written: `Real`, fractions, doubles as the decimals they print as.
-
-        Args:
-            rows: (j, k), nested sequences or an array.
-            shape: (j, k), needed where there is no entry.
-        """
+        """Return a matrix of numbers as they are written: `Real`, fractions, doubles as the decimals they print as."""
         numbers = [
             [Real.of(v if isinstance(v, Real | Fraction | int | str) else float(v)) for v in row] for row in rows
         ]
@@ -81,8 +72,7 @@ class BallMatrix:
     def inverse(self) -> "BallMatrix":
         """Return all inverses: |(T + E)⁻¹ − T⁻¹| ≤ (I − Q)⁻¹ Q |T⁻¹| with Q = |T⁻¹| |E|, where I − Q is an M-matrix.
 
-        Raises:
-            ZeroDivisionError: If a matrix in it may be singular.
+        Raises ZeroDivisionError if a matrix in it may be singular.
         """
         inverse = self.centre.inv()
         if self.radius is None:
@@ -114,15 +104,16 @@ class BallMatrix:
         return None if self.radius is None else texts(self.radius)
 
 
-def above(one: BallMatrix, other: BallMatrix) -> BallMatrix:
-    """Return one matrix on top of another."""
-    both = [_or_zero(X) for X in (one, other)] if one.radius is not None or other.radius is not None else None
-    return BallMatrix(stacked([one.centre, other.centre]), None if both is None else stacked(both))
+def above(*matrices: BallMatrix) -> BallMatrix:
+    """Return matrices on top of each other."""
+    exact = all(X.radius is None for X in matrices)
+    radii = None if exact else stacked([X.centre - X.centre if X.radius is None else X.radius for X in matrices])
+    return BallMatrix(stacked([X.centre for X in matrices]), radii)
 
 
-def beside(one: BallMatrix, other: BallMatrix) -> BallMatrix:
-    """Return one matrix beside another."""
-    return above(one.transpose(), other.transpose()).transpose()
+def beside(*matrices: BallMatrix) -> BallMatrix:
+    """Return matrices beside each other."""
+    return above(*(X.transpose() for X in matrices)).transpose()
 
 
 def each(function: Callable[[BallMatrix], BallMatrix], matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
@@ -178,10 +169,6 @@ def text(value: Fraction) -> str:
 def absolute(X: Rational) -> Rational:
     """Return the sizes of all entries."""
     return flint.fmpq_mat(X.nrows(), X.ncols(), [abs(v) for v in X.entries()])
-
-
-def _or_zero(X: BallMatrix) -> Rational:
-    return X.centre - X.centre if X.radius is None else X.radius
 
 
 def _sum(one: Rational | None, other: Rational | None) -> Rational | None:

@@ -63,12 +63,7 @@ class Way(Enum):
 
 @dataclass(frozen=True)
 class Remedy:
-    """What may help.
-
-    Attributes:
-        way: What it is.
-        figures: Names and numbers that go with it.
-    """
+    """What may help."""
 
     way: Way
-    figures: tuple[str | float, ...] = ()
+    figures: tuple[str | float, ...] = ()  # names and numbers that go with it

@@ -28,6 +28,9 @@ app = typer.Typer(
 )
 
 SpecPath = Annotated[Path, typer.Argument(metavar="SPEC", help="The YAML file.", show_default=False)]
+Certificate = Annotated[
+    Path, typer.Argument(metavar="DIR|FILE", help="A run folder or a certificate.json.", show_default=False)
+]
 Out = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Run folder.", show_default="runs/<name of the spec>"),
@@ -314,9 +317,7 @@ def explain(code: Annotated[str, typer.Argument(metavar="CODE", help="As errors 
 
 @app.command(epilog="Example: pwatrack verify runs/two_mass_backlash")
 def verify(
-    path: Annotated[
-        Path, typer.Argument(metavar="DIR|FILE", help="A run folder or a certificate.json.", show_default=False)
-    ],
+    path: Certificate,
     spec: Annotated[Path | None, typer.Option("--spec", metavar="SPEC", help="The spec it should belong to.")] = None,
 ) -> None:
     """Prove a certificate again from its file, with whole numbers only."""
@@ -329,14 +330,12 @@ def verify(
 
 @app.command(epilog="Example: pwatrack certify runs/two_mass_backlash --out coq")
 def certify(
-    path: Annotated[
-        Path, typer.Argument(metavar="DIR|FILE", help="A run folder or a certificate.json.", show_default=False)
-    ],
+    path: Certificate,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.", show_default=False)],
 ) -> None:
     """Write a certificate as a development for Coq, whose kernel proves the theorem for these gains."""
     with refusals():
-        from pwatrack.commands.certify import certify
+        from pwatrack.commands.export import certify
 
         files = certify(path, out)
         typer.echo(f"Development in {out}/: {', '.join(files)}")

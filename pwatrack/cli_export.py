@@ -29,8 +29,6 @@ exports = typer.Typer(help="Write a controller for a machine.", no_args_is_help=
 
 
 def _command(to: str) -> Callable[..., None]:
-    """Return the command that writes one language."""
-
     def command(
         target: Exported,
         out: Folder,
@@ -42,8 +40,8 @@ def _command(to: str) -> Callable[..., None]:
         unproved: Unproved = False,
         failed: Failed = False,
     ) -> None:
-        options = {"name": name, "single": single, "unproved": unproved, "failed": failed}
-        _export(to, target, out, parameters, sample_time, reference, **options)
+        asked = {"target": target, "name": name, "unproved": unproved, "failed": failed}
+        _export(to, out, parameters, sample_time, reference, asked, single=single)
 
     if not LANGUAGES[to].single:
         known = signature(command)
@@ -74,31 +72,31 @@ def export_to_fmu(
     """Write controller and plant as FMUs for co-simulation."""
     versions = (2, 3) if fmi == "both" else (int(fmi),)
     parts = ("controller", "plant") if of == "both" else (of,)
-    options = {"name": name, "versions": versions, "of": parts, "unproved": unproved, "failed": failed}
-    _export("fmu", target, out, parameters, sample_time, reference, **options)
+    asked = {"target": target, "name": name, "unproved": unproved, "failed": failed}
+    _export("fmu", out, parameters, sample_time, reference, asked, versions=versions, of=parts)
 
 
 def _export(
     to: str,
-    target: Path,
     out: Path,
     parameters: list[str] | None,
     sample_time: float | None,
     reference: str,
+    asked: dict[str, Any],
     **options: Any,
 ) -> None:
     if sample_time is not None and not 0 < sample_time < float("inf"):
         raise typer.BadParameter("it is no positive number", param_hint="--sample-time")
     with refusals():
-        from pwatrack.commands.export import export
+        from pwatrack.commands.export import ExportTask, export
         from pwatrack.commands.export_fmu import export_fmu
         from pwatrack.spec.load import assignments
 
-        options |= {"parameters": assignments(parameters or []), "sample_time": sample_time}
-        options |= {"given": reference == "outside"}
+        asked |= {"parameters": assignments(parameters or []), "sample_time": sample_time}
+        task = ExportTask(given=reference == "outside", **asked)
         with compiling(console(stderr=True)):
             if to == "fmu":
-                said = "\n".join(export_fmu(target, out, **options))
+                said = "\n".join(export_fmu(task, out, **options))
             else:
-                said = f"Code in {out}/: {', '.join(export(to, target, out, **options))}"
+                said = f"Code in {out}/: {', '.join(export(to, task, out, **options))}"
         typer.echo(said)

@@ -14,11 +14,7 @@ _told: list[Callable[[bool], object]] = []  # who is told, the innermost last
 
 @contextmanager
 def while_compiling(tell: Callable[[bool], object]) -> Iterator[None]:
-    """Call `tell` once if something is compiled in the block that takes long, in the middle of that.
-
-    Args:
-        tell: It gets whether what is compiled is kept for the next time.
-    """
+    """Call `tell` once in the middle of what is compiled in the block, if that takes long: with whether it is kept."""
     _told.append(tell)
     try:
         yield

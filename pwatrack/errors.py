@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import partial
 
 from pwatrack.causes import Remedy, Subject
 
@@ -53,22 +54,16 @@ class Place:
 class Problem:
     """One thing that is wrong.
 
-    Attributes:
-        message: What is wrong, complete.
-        subject: What it is about: `(Part.CELLS, 0, Part.A)`, or a path in a file, `("system", "cells", 0, "A")`.
-            Whoever read the file knows the `place` of each. None: it is not about the description.
-        hint: What to do, in plain words.
-        remedy: The same as a name, for who knows how a file says it.
-        place: Where it stands.
-        short: The message for a terminal, where it lists very many things; empty where it is the same.
+    Its subject is what it is about: `(Part.CELLS, 0, Part.A)`, or a path in a file, `("system", "cells", 0, "A")`.
+    Whoever read the file knows the `place` of each. None: it is not about the description.
     """
 
-    message: str
+    message: str  # what is wrong, complete
     subject: Subject | None = ()
-    hint: str = ""
-    remedy: Remedy | None = None
+    hint: str = ""  # what to do, in plain words
+    remedy: Remedy | None = None  # the same as a name, for who knows how a file says it
     place: Place | None = None
-    short: str = ""
+    short: str = ""  # the message for a terminal, where it lists very many things; empty where it is the same
 
     @staticmethod
     def of_many(
@@ -103,7 +98,7 @@ class Problem:
         return f"{self.where}{self.message}{hint}"
 
 
-def listed(items: Sequence[str], most: int | None, by: str = ", ") -> str:
+def listed(items: Sequence[str], most: int | None) -> str:
     """Return items joined by commas: all of them, or where there are clearly more only the first ones.
 
     Example:
@@ -111,8 +106,8 @@ def listed(items: Sequence[str], most: int | None, by: str = ", ") -> str:
         ('a, b, c', 'a, b … and 3 more')
     """
     if most is None or len(items) <= most + 1:
-        return by.join(items)
-    return f"{by.join(items[:most])} … and {len(items) - most:,} more"
+        return ", ".join(items)
+    return f"{', '.join(items[:most])} … and {len(items) - most:,} more"
 
 
 class PwatrackError(Exception):
@@ -134,9 +129,17 @@ class PwatrackError(Exception):
 
     code = ExitCode.BUG
 
-    def __init__(self, *problems: Problem | str, hint: str = "", evidence: object = None) -> None:
-        self.evidence = evidence
-        self.problems = tuple(p if isinstance(p, Problem) else Problem(message=p, hint=hint) for p in problems)
+    def __init__(
+        self,
+        *problems: Problem | str,
+        subject: Subject | None = (),
+        hint: str = "",
+        remedy: Remedy | None = None,
+        place: Place | None = None,
+        evidence: object = None,
+    ) -> None:
+        about = partial(Problem, subject=subject, hint=hint, remedy=remedy, place=place)
+        self.evidence, self.problems = evidence, tuple(about(message=p) if isinstance(p, str) else p for p in problems)
         super().__init__("\n".join(str(p) for p in self.problems))
 
     def sorted(self) -> "PwatrackError":

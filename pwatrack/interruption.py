@@ -42,14 +42,9 @@ def ended_by() -> int | None:
 
 @contextmanager
 def uninterrupted(told: Callable[[], object] = lambda: None) -> Iterator[None]:
-    """Put off what interrupts the program until the block ends. Signals come to the main thread only.
+    """Put off what interrupts the program until the block ends; `told` is called at once, in the middle of the block.
 
-    Args:
-        told: Called at once when something does, in the middle of whatever the block is at.
-
-    Example:
-        >>> with uninterrupted():
-        ...     pass  # what must be whole
+    Signals come to the main thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -78,12 +73,6 @@ def as_ended(futures: Collection[Future[_T]]) -> Iterator[Future[_T]]:
 
     So it can in `concurrent.futures.wait`, `as_completed` and `result`, but there perhaps while they hold the lock of
     a future, for good: whoever works for it, and wants to end it, would then wait for ever.
-
-    Example:
-        >>> from pwatrack.batch.pool import Pool
-        >>> with Pool(2) as pool:
-        ...     sorted(future.result() for future in as_ended([pool.submit(abs, -k) for k in range(3)]))
-        [0, 1, 2]
     """
     ended: SimpleQueue[Future[_T] | None] = SimpleQueue()  # a signal may come in the middle of its methods
     with uninterrupted():

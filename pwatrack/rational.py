@@ -14,6 +14,7 @@ import flint
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.real import dyadic as dyadic
 
 Rational = Any  # flint.fmpq_mat, which comes without types
 
@@ -33,12 +34,7 @@ def working_bits(bits: int) -> Iterator[None]:
 
 
 def decimals(X: Array) -> Rational:
-    """Return a matrix (j, k) as the decimals that its entries are printed as.
-
-    Example:
-        >>> decimals(np.array([[0.1, 2.0]])).tolist()
-        [[1/10, 2]]
-    """
+    """Return a matrix (j, k) as the decimals that its entries are printed as."""
     return rational([[Fraction(repr(float(v))) for v in row] for row in X], X.shape)
 
 
@@ -52,11 +48,8 @@ def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rati
     return flint.fmpq_mat(*shape, [number(v) for row in rows for v in row])
 
 
-def _taken_apart(X: Rational) -> tuple[Any, tuple[int, int, list[Any]]]:
-    return flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())
-
-
-copyreg.pickle(flint.fmpq_mat, _taken_apart)  # and with it a plant, and all that is made from one
+# and with it a plant, and all that is made from one
+copyreg.pickle(flint.fmpq_mat, lambda X: (flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())))
 
 
 def number(value: Fraction) -> Any:
@@ -72,12 +65,6 @@ def scalar(value: float) -> Any:
 def fraction_of(value: Any) -> Fraction:
     """Return an entry of a rational matrix as a fraction."""
     return Fraction(int(value.p), int(value.q))
-
-
-def dyadic(value: Any) -> Fraction:
-    """Return a ball without a radius as a fraction."""
-    mantissa, exponent = value.man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
 
 
 def middle(X: Any) -> Rational:
@@ -167,12 +154,6 @@ def is_hurwitz(M: Rational) -> bool:
     """Decide whether all eigenvalues have negative real parts: Routh's array of the characteristic polynomial.
 
     Where it is false, no P ≻ 0 has M P + P Mᵀ ≺ 0 (Lyapunov).
-
-    Example:
-        >>> is_hurwitz(decimals(np.array([[-1.0, 5.0], [0.0, -1e-30]])))
-        True
-        >>> is_hurwitz(decimals(np.array([[0.0, 1.0], [-1.0, 0.0]])))
-        False
     """
     polynomial = M.charpoly()
     falling = [polynomial[k] for k in range(M.nrows(), -1, -1)]
@@ -191,11 +172,6 @@ def unreachable(A: Rational, B: Rational) -> tuple[Rational, Rational]:
 
     The rows of N span what B never reaches (the left null space of [B, AB, …, Aⁿ⁻¹B]): no
     gain changes A_u. k = 0 if (A, B) is controllable.
-
-    Example:
-        >>> A, B = decimals(np.diag([-1.0, 3.0])), decimals(np.array([[1.0], [0.0]]))
-        >>> [X.tolist() for X in unreachable(A, B)]
-        [[[0, 1]], [[3]]]
     """
     columns = [B.transpose()]
     for _ in range(A.nrows() - 1):

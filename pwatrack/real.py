@@ -31,11 +31,7 @@ class Real:
 
     @classmethod
     def of(cls, value: "Real | Fraction | int | float | str") -> "Real":
-        """Return a number as it is printed: 0.1 is one tenth, not the double next to it.
-
-        Raises:
-            ValueError: If it is not finite.
-        """
+        """Return a number as it is printed: 0.1 is one tenth, not the double next to it; inf is a ValueError."""
         if isinstance(value, Real):
             return value
         try:
@@ -78,11 +74,7 @@ class Real:
         return Real.of(other) - self if isinstance(other, Number) else NotImplemented
 
     def __truediv__(self, other: object) -> "Real":
-        """Return the quotient.
-
-        Raises:
-            ZeroDivisionError: If the divisor may be 0.
-        """
+        """Return the quotient; ZeroDivisionError if the divisor may be 0."""
         if not isinstance(other, Number):
             return NotImplemented
         other = Real.of(other)
@@ -98,12 +90,7 @@ class Real:
         return Real(abs(self.centre), self.radius)
 
     def __pow__(self, other: object) -> "Real":
-        """Return the power: exactly where the exponent is a whole number of modest size.
-
-        Raises:
-            ValueError: If it is not real.
-            ZeroDivisionError: If a negative power is taken of what may be 0.
-        """
+        """Return the power: exactly where the exponent is a whole number of modest size; raises as `enclosed`."""
         if not isinstance(other, Number):
             return NotImplemented
         other = Real.of(other)
@@ -130,40 +117,21 @@ class Real:
         return self.centre.numerator.bit_length() + self.centre.denominator.bit_length()
 
     def shortened(self) -> "Real":
-        """Return a double in a ball around a number whose fraction has grown too long to work with.
-
-        Raises:
-            OverflowError: If it is beyond all doubles.
-        """
+        """Return a double in a ball around a number whose fraction is too long to work with, or OverflowError."""
         if self.bits <= _MOST_BITS and self.radius.denominator.bit_length() <= _MOST_BITS:
             return self
         nearest, radius = Fraction(float(self.centre)), Fraction(float(self.radius))
         return Real(nearest, radius * (1 + _EPS) + abs(nearest) * _EPS + _TINY)
 
     def applied(self, name: str) -> "Real":
-        """Return a function such as sqrt: the nearest double with a ball around it.
-
-        Raises:
-            ValueError: If it is not defined there, or not finite.
-        """
+        """Return a function such as sqrt: the nearest double with a ball around it; raises as `enclosed`."""
         return enclosed(lambda x: getattr(x, name)(), self)
 
 
 def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
-    """Return a function of balls as a double with a ball around it.
+    """Return a function of balls, of FLINT's `arb`, as a double with a ball around it.
 
-    Args:
-        function: Takes and returns FLINT's `arb`.
-        arguments: Where it is evaluated.
-
-    Raises:
-        ValueError: If it is not defined there, or not finite.
-
-    Example:
-        >>> from flint import arb
-        >>> tau = enclosed(lambda: 2 * arb.pi())
-        >>> float(tau), 0 < tau.radius < Fraction(1, 2**51)
-        (6.283185307179586, True)
+    Raises ValueError if it is not defined there, OverflowError if it is beyond all doubles.
     """
     import flint
 
@@ -184,13 +152,13 @@ def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
         return Real(Fraction(0), Fraction(0) if value.is_zero() else _TINY)
     if value.abs_upper() > flint.arb(2) ** 1024:
         raise OverflowError("not finite")
-    centre, away = (_dyadic(part) for part in (value.mid(), value.rad()))
+    centre, away = (dyadic(part) for part in (value.mid(), value.rad()))
     nearest = Fraction(float(centre))
     return Real(nearest, abs(centre - nearest) + away)
 
 
-def _dyadic(value: Any) -> Fraction:
-    """Return an exact arb as a fraction."""
+def dyadic(value: Any) -> Fraction:
+    """Return a ball without a radius as a fraction."""
     mantissa, exponent = value.man_exp()
     return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
 

@@ -20,9 +20,8 @@ def attempt(read: Callable[[], bytes]) -> Found:
 def content(path: Path, read: Callable[[], bytes]) -> bytes:
     """Return what a file holds: what came along with the work, or else what `read` returns or raises.
 
-    Raises:
-        FileNotFoundError: If this work came with files, and it is none of them.
-        Exception: As `read` did where the file is.
+    Raises FileNotFoundError if this work came with files, and it is none of them; else what `read` raised where the
+    file is.
 
     Example:
         >>> with carried({"a.csv": b"t,y"}):

@@ -11,11 +11,7 @@ SCHEMA = "pwatrack.schema.json"
 
 
 def write_starter(path: Path, kind: str) -> list[Path]:
-    """Write a commented spec that runs, and its schema; return both paths.
-
-    Raises:
-        InvalidSpec: If there is such a file already, or it cannot be written.
-    """
+    """Write a commented spec that runs, and its schema; return both paths. A file that is there is not replaced."""
     if path.exists():
         raise InvalidSpec(f"{path} exists", hint="name another file: 'pwatrack init other.yaml'")
     texts = {path: files("pwatrack.starters").joinpath(f"{kind}.yaml").read_text(encoding="utf-8")}

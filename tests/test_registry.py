@@ -22,7 +22,7 @@ from pwatrack.report.certificate import design_certificate
 PLANTS = {
     "two_mass_backlash": {"Decay", "SignalBounds"},
     "two_mass_goals": {"Decay", "Costs", "SignalBounds"},
-    "two_mass_machine": {"Decay", "SampledLoop", "NoSaturation", "SignalBounds"},
+    "two_mass_machine": {"Decay", "SampledLoop", "SampledBounds", "NoSaturation", "SignalBounds"},
     "gallery/robust_positioning": {"Decay", "SignalBounds", "Robust"},
     "gallery/gear_with_backlash": {"Practical", "Decay", "Costs", "SignalBounds"},
     "gallery/cart_and_pole_swaying": {"Decay", "SignalBounds", "StableInversion"},

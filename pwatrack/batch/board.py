@@ -16,11 +16,7 @@ _STYLES = {"pass": "green", "cached": "cyan", "skipped": "yellow"}
 
 
 class Board(Watcher):
-    """Says on a console which specs have ended, and how: use it through `board`.
-
-    Attributes:
-        outcomes: Of those that have ended.
-    """
+    """Says on a console which specs have ended, and how: use it through `board`."""
 
     def __init__(self, screen: Console, progress: Progress | None) -> None:
         self.outcomes = list[SpecOutcome]()

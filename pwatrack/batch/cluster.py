@@ -15,7 +15,7 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.version import versions
 
 _PATIENCE = 10.0  # seconds in which a scheduler and a worker are to be found
@@ -25,17 +25,12 @@ Settings = tuple[float | None, float | None, tuple[str, ...]]  # timeout, memory
 
 
 class Cluster(Executor):
-    """An executor on the workers of a dask scheduler. Use it as a context: an exception inside cancels what is left.
+    """An executor on the workers of a dask scheduler, limited as `Pool` is, in whose processes they do their tasks.
 
-    Args:
-        address: Of the scheduler, such as "tcp://10.0.0.1:8786".
-        timeout, memory, preload: As for `Pool`, in whose processes the workers do their tasks.
-
-    A future's `result()` raises `Lost` as that of a pool does, also where the scheduler went away, and `InvalidSpec`
-    where a worker cannot do the task as it would be done here: it has no pwatrack, or other versions.
-
-    Raises:
-        InvalidSpec: If distributed is not installed, or there is no scheduler, or no worker.
+    Use it as a context: an exception inside cancels what is left. A future's `result()` raises `Lost` as that of a pool
+    does, also where the scheduler went away, and `InvalidSpec` where a worker cannot do the task as it would be done
+    here: it has no pwatrack, or other versions. Raises InvalidSpec if distributed is not installed, or there is no
+    scheduler at the address, such as "tcp://10.0.0.1:8786", or no worker.
     """
 
     def __init__(
@@ -106,7 +101,6 @@ class Cluster(Executor):
 
 
 def _settle(future: Future[Any], sent: Future[Any]) -> None:
-    """Give a future what came back."""
     from distributed import KilledWorker
 
     if sent.cancelled():
@@ -124,7 +118,7 @@ def _settle(future: Future[Any], sent: Future[Any]) -> None:
 
 def _unusable(message: str, hint: str = "") -> InvalidSpec:
     """Return the refusal of a scheduler or a worker: it is about no line of the spec."""
-    return InvalidSpec(Problem(message=message, subject=None, hint=hint))
+    return InvalidSpec(message, subject=None, hint=hint)
 
 
 _IDLE = defaultdict[Settings, list[Pool]](list)  # on a worker: processes that wait for a task, by how they are limited
@@ -163,7 +157,6 @@ def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
 
 
 def _called(content: bytes) -> bytes:
-    """Make the call, in whatever process."""
     function, positional, named = ForkingPickler.loads(content)
     try:
         return _answer(function(*positional, **named), True)

@@ -14,8 +14,7 @@ from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
 from pwatrack.batch.reports import add_summary, annotations, write_junit, write_lines, write_sarif
 from pwatrack.batch.run import Options, run_batch
-from pwatrack.batch.sweep import Method, places, sweep
-from pwatrack.batch.sweep_files import draw_sweep, write_sweep
+from pwatrack.batch.sweep import Method, draw_sweep, places, sweep, write_sweep
 from pwatrack.batch.work import Work, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
@@ -23,23 +22,7 @@ from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[SpecOutcome], Path], None]
 _LIMIT = 600.0  # s: for a point of a sweep
-WRITERS: dict[str, Writer] = {
-    ".xml": write_junit,
-    ".jsonl": write_lines,
-    ".sarif": write_sarif,
-    ".html": write_page,
-}
-
-
-def report_writer(path: Path) -> Writer:
-    """Return what writes a report to a path: its ending says of which kind.
-
-    Raises:
-        InvalidSpec: If there is none of this kind.
-    """
-    if path.suffix.lower() not in WRITERS:
-        raise InvalidSpec(f"--report {path}: its ending says its kind, one of {', '.join(WRITERS)}")
-    return WRITERS[path.suffix.lower()]
+WRITERS: dict[str, Writer] = {".xml": write_junit, ".jsonl": write_lines, ".sarif": write_sarif, ".html": write_page}
 
 
 def batch(
@@ -52,12 +35,11 @@ def batch(
     scheduler: str | None = None,
     work: Work = simulate,
 ) -> int:
-    """Run a batch, show how it goes on, print its table, write its reports, and return its exit code.
-
-    Raises:
-        InvalidSpec: If there is no spec, or a report is of no known kind or cannot be written.
-    """
-    writers = [(report_writer(path), path) for path in reports] + ([(write_junit, junit)] if junit else [])
+    """Run a batch, show how it goes on, print its table, write its reports, and return its exit code."""
+    for path in reports:
+        if path.suffix.lower() not in WRITERS:
+            raise InvalidSpec(f"--report {path}: its ending says its kind, one of {', '.join(WRITERS)}")
+    writers = [(WRITERS[path.suffix.lower()], path) for path in reports] + ([(write_junit, junit)] if junit else [])
     print_left_out(left_out(paths, options.pattern))
     ended: Sequence[SpecOutcome] = []
     try:
@@ -112,9 +94,6 @@ def swept(
     """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
 
     Ranges that are given replace those in the file.
-
-    Raises:
-        InvalidSpec: If a range is not one, the spec is in error with the parameters given, or files cannot be written.
     """
     from pwatrack.spec.load import assignments, read_sweep
 

@@ -13,16 +13,8 @@ _ENDINGS = (".yaml", ".yml")
 def find_specs(paths: Sequence[Path], pattern: str | None = None) -> dict[Path, Path]:
     """Return the specs among files and below folders, in order, each with a folder of its own for its run.
 
-    Args:
-        paths: Files, and folders that are searched.
-        pattern: What the path of a file below a folder, or its name, is like, as in a shell; None: it ends in .yaml.
-
-    Raises:
-        InvalidSpec: If a path leads nowhere, or there is no spec at all.
-
-    Example:
-        >>> [spec.name for spec in find_specs([Path("specs")], "two_mass_[gm]*")]
-        ['two_mass_goals.yaml', 'two_mass_machine.yaml']
+    Below a folder the path of a file, or its name, is like the pattern, as in a shell; without one it ends in .yaml or
+    .yml. Raises InvalidSpec if a path leads nowhere, or there is no spec at all.
     """
     found = dict[Path, Path]()
     known = set[Path]()
@@ -62,7 +54,6 @@ def run_name(spec: Path) -> str:
 
 
 def _named(folder: Path, pattern: str | None) -> list[Path]:
-    """Return what is named like a spec below a folder."""
     if pattern is None:
         return [path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS]
     return [

@@ -15,35 +15,20 @@ FIGURES = {"norm_K": "‖K‖", "norm_L": "‖L‖ (1/s)", "final_error": "final
 
 @dataclass(frozen=True, kw_only=True)
 class SpecOutcome:
-    """How the run of one spec ended.
-
-    Attributes:
-        spec, folder: The file, and the folder of its run.
-        exit: Its exit code; negative if a signal ended it, None if it did not end: see `reason`.
-        expected: Exit code that the spec expects.
-        reason: Why it did not end by itself; empty if it did.
-        how: Whether it was run now, or before with nothing changed since, or not at all.
-        figures: From its run.json, empty if this run left none.
-        unit: Of its errors; sizes where several signals are tracked.
-        notes: The remarks of the run, and what its simulation came to if that is not that it tracks.
-        required: Each requirement with what came out, and whether it is met.
-        messages: What it said on stderr.
-        faults: What is wrong with it, one by one.
-        seconds: How long it took.
-    """
+    """How the run of one spec ended."""
 
     spec: Path
-    folder: Path
-    exit: int | None
-    expected: int = 0
-    reason: str = ""
-    how: Literal["run", "cached", "skipped"] = "run"
-    figures: Mapping[str, float] = field(default_factory=dict)
-    unit: str = ""
-    notes: tuple[str, ...] = ()
-    required: tuple[tuple[str, bool], ...] = ()
-    messages: str = ""
-    faults: tuple[JobFault, ...] = ()
+    folder: Path  # of its run
+    exit: int | None  # its exit code; negative if a signal ended it, None if it did not end: see `reason`
+    expected: int = 0  # exit code that the spec expects
+    reason: str = ""  # why it did not end by itself; empty if it did
+    how: Literal["run", "cached", "skipped"] = "run"  # run now, or before with nothing changed since, or not
+    figures: Mapping[str, float] = field(default_factory=dict)  # from its run.json, empty if this run left none
+    unit: str = ""  # of its errors; sizes where several signals are tracked
+    notes: tuple[str, ...] = ()  # the remarks of the run, and what its simulation came to if that is not that it tracks
+    required: tuple[tuple[str, bool], ...] = ()  # each requirement with what came out, and whether it is met
+    messages: str = ""  # what it said on stderr
+    faults: tuple[JobFault, ...] = ()  # what is wrong with it, one by one
     seconds: float = 0.0
 
     @staticmethod
@@ -122,23 +107,12 @@ class SpecOutcome:
 
 
 def exit_code(outcomes: Sequence[SpecOutcome]) -> int:
-    """Return the exit code of a batch: that of a crash if there is one, else the largest.
-
-    Example:
-        >>> exit_code([SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=code) for code in (1, 0, 6)])
-        1
-    """
+    """Return the exit code of a batch: that of a crash if there is one, else the largest."""
     return int(ExitCode.BUG) if any(each.crashed for each in outcomes) else max(each.code for each in outcomes)
 
 
 def counted(outcomes: Sequence[SpecOutcome]) -> str:
-    """Return how many passed, failed, were cached or skipped.
-
-    Example:
-        >>> done = SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=0)
-        >>> counted([done, done])
-        '2 passed, 0 failed'
-    """
+    """Return how many passed, failed, were cached or skipped."""
     cached = sum(o.how == "cached" and o.passed for o in outcomes)
     skipped = sum(o.how == "skipped" for o in outcomes)
     passed, failed = sum(o.passed for o in outcomes), sum(o.failed for o in outcomes)
@@ -153,5 +127,4 @@ def _part(index: Mapping[str, Any], name: str, kind: type[_T]) -> _T:
 
 
 def _shown(value: object) -> bool:
-    """Whether it is a figure that can be shown."""
     return isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST

@@ -24,11 +24,7 @@ _NARROW = 76  # rem: in less than this the columns do not fit beside each other,
 
 
 def write_page(outcomes: Sequence[SpecOutcome], path: Path) -> None:
-    """Write the page, what failed first; the small pictures are in it, the large ones are links.
-
-    Raises:
-        InvalidSpec: If the file cannot be written.
-    """
+    """Write the page, what failed first; the small pictures are in it, the large ones are links."""
     required = any(outcome.required for outcome in outcomes)
     names = [*_TEXTS, *(["required"] if required else []), *FIGURES.values(), "time (s)"]
     ordered = sorted(outcomes, key=lambda outcome: not outcome.failed)
@@ -71,7 +67,6 @@ def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:
 
 
 def _head(name: str) -> str:
-    """Return the head of a column: what sorts by it."""
     numbers = "" if name in _TEXTS else ' class="n"'
     return f'<th{numbers}><button type="button">{_text(name)}</button></th>'
 
@@ -86,7 +81,6 @@ def _number(name: str, value: object, text: str) -> str:
 
 
 def _pictures(folder: Path, here: Path) -> str:
-    """Return small pictures of a run; none where it has none."""
     parts = []
     for name in _PICTURES:
         with suppress(OSError):
@@ -97,11 +91,6 @@ def _pictures(folder: Path, here: Path) -> str:
 
 
 def _small(picture: Path) -> bytes:
-    """Return a picture in few dots and colours.
-
-    Raises:
-        OSError: If it cannot be read.
-    """
     from PIL import Image
 
     with Image.open(picture) as image:
@@ -113,5 +102,4 @@ def _small(picture: Path) -> bytes:
 
 
 def _text(text: str) -> str:
-    """Return a text as it may stand in a page."""
     return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())

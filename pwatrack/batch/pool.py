@@ -33,13 +33,9 @@ _SAID = 65_536  # bytes that are kept of what a process says before it dies
 
 
 class Lost(CheckFailed):
-    """A task whose process did not live to end it.
+    """A task whose process did not live to end it, and the last that it said on stderr.
 
-    Attributes:
-        reason: Why, in words.
-        killer: The signal that ended the process, if it was one that nobody here sent; 0 otherwise.
-        said: The last that it said on stderr.
-        seconds: How long it was at the task.
+    Its killer is the signal that ended the process, if it was one that nobody here sent; 0 otherwise.
     """
 
     def __init__(self, reason: str, *, killer: int = 0, said: str = "", seconds: float = 0.0) -> None:
@@ -71,14 +67,10 @@ class _Worker:
 class Pool(Executor):
     """An executor that loses one task at most with each process.
 
-    Args:
-        jobs: How many processes.
-        timeout: Seconds that a task may take, once it has begun; None for any time.
-        memory: Megabytes that a task may take beyond the program itself; None for any size. Kept by Linux only.
-        preload: Modules that are imported once, before the first process.
-
-    A future's `result()` raises `Lost` where the process died, ran out of time or out of memory, and what the task
-    raised otherwise.
+    A task may take `timeout` seconds once it has begun, None for any time, and `memory` megabytes beyond the program
+    itself, None for any size, which Linux alone keeps. The modules of `preload` are imported once, before the first
+    process. A future's `result()` raises `Lost` where the process died, ran out of time or out of memory, and what the
+    task raised otherwise.
 
     Example:
         >>> with Pool(1) as pool:
@@ -172,7 +164,6 @@ class Pool(Executor):
             return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
 
     def _assign(self) -> None:
-        """Give tasks to processes that have none, and start those that are missing."""
         while True:
             free = next((w for w in self._workers if not w.task and not w.reason), None)
             if free is None and len(self._workers) >= self._jobs:

@@ -24,11 +24,7 @@ _MOST_ANNOTATIONS = 10  # of a step: GitHub shows no more
 
 
 def write_junit(outcomes: Sequence[SpecOutcome], path: Path) -> None:
-    """Write a JUnit XML report for a CI server.
-
-    Raises:
-        InvalidSpec: If the file cannot be written.
-    """
+    """Write a JUnit XML report for a CI server."""
     suite = TestSuite("pwatrack")
     for outcome in outcomes:
         case = TestCase(_printable(str(outcome.spec)), classname="pwatrack.batch", time=outcome.seconds)
@@ -49,21 +45,13 @@ def write_junit(outcomes: Sequence[SpecOutcome], path: Path) -> None:
 
 
 def write_lines(outcomes: Sequence[SpecOutcome], path: Path) -> None:
-    """Write one JSON object for each spec, on a line of its own.
-
-    Raises:
-        InvalidSpec: If the file cannot be written.
-    """
+    """Write one JSON object for each spec, on a line of its own."""
     with written_at_once(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(json.dumps(_content(outcome)) + "\n" for outcome in outcomes)
 
 
 def write_sarif(outcomes: Sequence[SpecOutcome], path: Path) -> None:
-    """Write what is wrong in failing specs as SARIF 2.1.0, for editors and code scanning.
-
-    Raises:
-        InvalidSpec: If the file cannot be written.
-    """
+    """Write what is wrong in failing specs as SARIF 2.1.0, for editors and code scanning."""
     results = [result for outcome in outcomes if outcome.failed for result in _results(outcome)]
     rules = [{"id": rule} for rule in sorted({result["ruleId"] for result in results})]
     driver = {"name": "pwatrack", "version": __version__, "rules": rules}
@@ -73,13 +61,7 @@ def write_sarif(outcomes: Sequence[SpecOutcome], path: Path) -> None:
 
 
 def annotations(outcomes: Sequence[SpecOutcome]) -> Iterator[str]:
-    """Yield a workflow command for each thing that is wrong in a failing spec, to stand beside its line on GitHub.
-
-    Example:
-        >>> failed = SpecOutcome(spec=Path("a.yaml"), folder=Path("a"), exit=3)
-        >>> list(annotations([failed]))
-        ['::error file=a.yaml,title=outside the theory::outside the theory, exit 3, expected 0']
-    """
+    """Yield a workflow command for each thing that is wrong in a failing spec, to stand beside its line on GitHub."""
     for outcome in outcomes:
         if not outcome.failed:
             continue
@@ -94,11 +76,7 @@ def annotations(outcomes: Sequence[SpecOutcome]) -> Iterator[str]:
 
 
 def add_summary(outcomes: Sequence[SpecOutcome], environment: Mapping[str, str] = os.environ) -> None:
-    """Add a table to the summary of a job on GitHub, where there is one.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
+    """Add a table to the summary of a job on GitHub, where there is one."""
     if not (path := environment.get("GITHUB_STEP_SUMMARY")):
         return
     rows = [f"### pwatrack: {counted(outcomes)}", "", "| spec | result | verdict | s |", "|---|---|---|---:|"]

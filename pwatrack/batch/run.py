@@ -21,29 +21,17 @@ from pwatrack.report.run_folder import Plots, sweep
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """How a batch is run.
+    """How a batch is run."""
 
-    Attributes:
-        pattern: What specs below a folder are named like; None: all that end in .yaml or .yml.
-        parameters: Replacements as NAME=VALUE, in every spec.
-        plots: Of which runs pictures are drawn.
-        outside: Whether specs may refer to files outside of their folders.
-        jobs: How many run at a time.
-        timeout: Seconds after which a spec is given up.
-        memory: Megabytes that a spec may take beyond the program itself; None for any.
-        fail_fast: Whether none is begun after one has failed.
-        again: Which specs are run that were run before: all, those that failed, or only those that have changed.
-    """
-
-    pattern: str | None = None
-    parameters: tuple[str, ...] = ()
-    plots: Plots = "all"
-    outside: bool = False
-    jobs: int = 1
-    timeout: float = 600.0
-    memory: float | None = None
-    fail_fast: bool = False
-    again: Literal["all", "failed", "changed"] = "all"
+    pattern: str | None = None  # what specs below a folder are named like; None: all that end in .yaml or .yml
+    parameters: tuple[str, ...] = ()  # replacements as NAME=VALUE, in every spec
+    plots: Plots = "all"  # of which runs pictures are drawn
+    outside: bool = False  # whether specs may refer to files outside of their folders
+    jobs: int = 1  # how many run at a time
+    timeout: float = 600.0  # seconds after which a spec is given up
+    memory: float | None = None  # megabytes that a spec may take beyond the program itself; None for any
+    fail_fast: bool = False  # whether none is begun after one has failed
+    again: Literal["all", "failed", "changed"] = "all"  # those run before: all, that failed, that have changed
 
 
 class Watcher:
@@ -66,22 +54,11 @@ def run_batch(
     executor: Executor | None = None,
     watcher: Watcher | None = None,
 ) -> list[SpecOutcome]:
-    """Design and simulate every spec among files and below folders.
+    """Design and simulate every spec among files and below folders; return an outcome for each, in their order.
 
-    Args:
-        paths: Where the specs are.
-        out: Each spec gets a run folder in here, under its own path.
-        options: How they are run.
-        work: What is done with each of them, by the name of a module's function: other processes do it.
-        preload: Modules that they import once, before any work.
-        executor: Who does the work instead of processes here, on whatever machine: files go along and come back.
-        watcher: Is told of every spec as it ends.
-
-    Returns:
-        One outcome per spec, in order of the paths.
-
-    Raises:
-        InvalidSpec: If there is no spec.
+    Each spec gets a run folder in `out`, under its own path. `work` is a function of a module, which other processes
+    call by its name, after they have imported `preload`; or an executor does it, on whatever machine: files go along
+    and come back. The watcher is told of every spec as it ends. Raises InvalidSpec if there is no spec.
     """
     options, watcher = options or Options(), watcher or Watcher()
     places = find_specs([paths] if isinstance(paths, Path) else paths, options.pattern)

@@ -1,7 +1,9 @@
-"""A spec at many values of its parameters, and where on the way between two of them a kind of proof ends."""
+"""A spec at many values of its parameters, and where between two of them a kind of proof ends: tables, a picture."""
 
+import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
 from math import prod
@@ -14,6 +16,7 @@ from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import as_ended
+from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import told
 from pwatrack.spec.axis import MOST, Axis
 
@@ -64,13 +67,7 @@ class Edge:
 def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed: int = 1) -> list[dict[str, float]]:
     """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
 
-    Raises:
-        InvalidSpec: If they are too many, or a parameter varies twice.
-
-    Example:
-        >>> from pwatrack.spec.axis import axis
-        >>> places([axis("a=0:1:2"), axis("b=0.1:0.3:3")])[1]
-        {'a': 0.0, 'b': 0.2}
+    Raises InvalidSpec if they are too many, or a parameter varies twice.
     """
     names = [one.name for one in axes]
     if len(set(names)) < len(names):
@@ -153,13 +150,9 @@ def sweep(
 ) -> tuple[list[Point], list[Edge]]:
     """Look at many places, from `places`, and refine where a kind of proof ends: points and ends, in order.
 
-    Args:
-        spec, axes, fixed: The file, the parameters that vary, and others, as text.
-        executor: Who does the work, on whatever machine: `look` and `bisect`, one place at a time.
-        at: Where to look.
-        simulated: Whether to simulate too.
-        refine: Share of each range within which to find the ends, between neighbours of a grid; None: not at all.
-        progress: Is told how many places and ends are done, and how many there are.
+    The executor does `look` and `bisect`, one place at a time, on whatever machine. `refine` is the share of each range
+    within which ends are found, between neighbours of a grid; None: they are not sought. `progress` is told how many
+    places and ends are done, and how many there are.
     """
     set_, files = dict(fixed or {}), packed(spec)
     futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
@@ -197,3 +190,63 @@ def _point(future: Future[Point], values: Mapping[str, float]) -> Point:
         return future.result()
     except Lost as lost:
         return Point(values=values, exit=None, said=lost.reason)
+
+
+def write_sweep(folder: Path, axes: Sequence[Axis], points: Sequence[Point], edges: Sequence[Edge]) -> list[Path]:
+    """Write sweep.csv, boundary.csv if the ends of the proof were sought, and sweep.parquet if pyarrow is there."""
+    names = [axis.name for axis in axes]
+    figures = list(dict.fromkeys(name for point in points for name in point.figures))
+    header = [*names, "exit", "verdict", *figures, "said"]
+    rows = [
+        [*(p.values[n] for n in names), p.exit, p.verdict, *(p.figures.get(n) for n in figures), p.said] for p in points
+    ]
+    files = [folder / "sweep.csv"]
+    _table(files[0], header, rows)
+    if edges:
+        files.append(folder / "boundary.csv")
+        ends = [
+            [e.name, *(e.inside.values[n] for n in names), e.inside.proof, e.beyond.values[e.name], e.beyond.verdict]
+            for e in edges
+        ]
+        _table(files[1], ["along", *names, "proof", "beyond", "verdict_beyond"], ends)
+    with suppress(ImportError):
+        import pyarrow as arrow
+        import pyarrow.parquet as parquet
+
+        files.append(folder / "sweep.parquet")
+        with written_at_once(files[-1]) as temporary:
+            columns = dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
+            parquet.write_table(arrow.table(columns), temporary)
+    return files
+
+
+def draw_sweep(path: Path, title: str, axes: Sequence[Axis], points: Sequence[Point], edges: Sequence[Edge]) -> bool:
+    """Draw curves over one parameter or maps over two; return whether there is such a picture."""
+    if len(axes) > 2:
+        return False
+    import numpy as np
+
+    from pwatrack.report.plots.canvas import png
+    from pwatrack.report.plots.spread import sweep_curves, sweep_maps
+
+    names = [axis.name for axis in axes]
+    at = [np.array([point.values[name] for point in points]) for name in names]
+    known = dict.fromkeys(name for point in points for name in point.figures)
+    figures = {n: np.array([p.figures.get(n, np.nan) if p.proved else np.nan for p in points]) for n in known}
+    ends = [tuple((e.inside.values[n] + e.beyond.values[n]) / 2 for n in names) for e in edges]
+    if len(axes) == 1:
+        figure = sweep_curves(title, names[0], at[0], figures, [end[0] for end in ends])
+    else:
+        verdicts = [point.verdict for point in points]
+        pairs = [(end[0], end[1]) for end in ends]
+        figure = sweep_maps(title, (names[0], names[1]), (at[0], at[1]), verdicts, figures, pairs)
+    with written_at_once(path) as temporary:
+        temporary.write_bytes(png(figure))
+    return True
+
+
+def _table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    with written_at_once(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([repr(v) if isinstance(v, float) else v for v in row] for row in rows)

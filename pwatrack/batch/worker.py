@@ -25,14 +25,10 @@ class OutOfMemory(Exception):
 
 
 def serve(tasks: Connection, errors: Connection, memory: float | None, preload: Sequence[str]) -> None:
-    """Work off tasks.
+    """Work off tasks: (function, arguments, named arguments) come, and (answer, whether it is one) go, at first a None.
 
-    Args:
-        tasks: Where (function, arguments, named arguments) come from, and (answer, whether it is one) go to, after a
-            None for a start.
-        errors: Where everything goes that the process says on stderr.
-        memory: Megabytes that a task may take beyond the program itself.
-        preload: Modules that are there before the first task, also if the fork server was begun for another pool.
+    All that the process says on stderr goes to `errors`. A task may take so many megabytes beyond the program itself.
+    The modules of `preload` are there before the first task, also if the fork server was begun for another pool.
     """
     _follow_parent()
     gc.freeze()  # what the fork server imported: its pages stay shared

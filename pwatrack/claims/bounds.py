@@ -35,16 +35,11 @@ class SignalBounds(Claim):
     """Bounds of each signal, for each disturbance, noise and entry of the start by itself.
 
     They are proved once, for whoever asks first; a controller that is changed in another part has them too.
-
-    Attributes:
-        loops: What they are about.
-        solver: Who is asked for them.
-        known: What was proved of them before.
     """
 
-    loops: Loops
-    solver: Solver = "structured"
-    known: _Pair | None = field(default=None, repr=False)
+    loops: Loops  # what they are about
+    solver: Solver = "structured"  # who is asked for them
+    known: _Pair | None = field(default=None, repr=False)  # what was proved of them before
 
     statement: ClassVar[str] = (
         "Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state equation or one measured output, can "
@@ -59,7 +54,6 @@ class SignalBounds(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
-        """Yield what was proved; a channel that nothing was proved of has no bounds."""
         loops = loops_of(controller)
         found = {bounds.channel: bounds for bounds in map(read_bounds, content["bounds"])}
         acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
@@ -104,11 +98,9 @@ class SignalBounds(Claim):
         return self.both[1]
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return those of all channels that something is proved of."""
         return {"bounds": [bounds_content(bounds) for part in self.both for bounds in part if bounds.sizes]}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what acts and what it does to what is tracked, the inputs and what has a size; declared ones first."""
         found = sorted(self.acting, key=lambda bounds: not words.declared(bounds.channel))
         yield (
             "bounds",
@@ -147,7 +139,6 @@ class SignalBounds(Claim):
         return controller.with_left(total)
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
-        """Return how large each signal may be from its start and for what has acted so far."""
         if not seen.designed:
             return {}
         most = from_start(self.acting, self.starts, seen.start, seen.t, states=self.loops.n)
@@ -160,12 +151,8 @@ def from_start(
 ) -> dict[Form, Array]:
     """Return the most that each signal is over time from a start, (K,), where nothing else acts and it is proved.
 
-    Args:
-        found: Bounds whose ellipsoids are looked at.
-        starts: Those of all entries of a start, or none.
-        start: (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,).
-        t: Times in s, (K,).
-        states: n.
+    The ellipsoids of the bounds `found` are looked at, and those of all entries of a start, `starts`, or none. It is
+    (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,); t (K,) are times in s, and n is `states`.
     """
     most: dict[Form, Array] = {}
     first = [bounds.channel[1] for bounds in starts]

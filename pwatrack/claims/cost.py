@@ -15,7 +15,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
 from pwatrack.control.words import Words
-from pwatrack.errors import Problem, Undecided
+from pwatrack.errors import Undecided
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import weighted
@@ -31,21 +31,15 @@ _ROOM = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # by so much X is enlarged, until 
 
 @dataclass(frozen=True, kw_only=True)
 class Costs(Claim):
-    """Bounds of the costs that were asked for.
+    """Bounds of the costs that were asked for."""
 
-    Attributes:
-        goals: What was asked, by the role of the gain.
-        X: The proved bounds, (n, n) each: see `cost_bound`.
-    """
-
-    goals: Mapping[Role, LeastCost]
-    X: Mapping[Role, Array]
+    goals: Mapping[Role, LeastCost]  # what was asked, by the role of the gain
+    X: Mapping[Role, Array]  # the proved bounds, (n, n) each: see `cost_bound`
 
     statement: ClassVar[str] = "X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0."
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
-        """Yield the bounds where a gain was asked for by its cost."""
         goals, X = _least(asked), dict[Role, Array]()
         for role, goal in goals.items():
             task = Task.of(asked.words.plant, role, sizes=controller.sizes)
@@ -56,13 +50,11 @@ class Costs(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
-        """Yield what was proved."""
         goals, proofs = _least(asked), read_costs(content)
         if proofs:
             yield cls(goals=goals, X={role: proofs[role.name] for role in goals if role.name in proofs})
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return X, beside the weights that it is for."""
         matrices = {role: {"X": X, "Q": self.goals[role].Q, "R": self.goals[role].R} for role, X in self.X.items()}
         texts = {role: {name: decimal_texts(Y) for name, Y in found.items()} for role, found in matrices.items()}
         return {"proofs": [{"of": role.name, **found} for role, found in texts.items()]}
@@ -115,10 +107,8 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
 
     the average over a long time, and in a stationary state the expectation itself, is at most tr(X⁻¹W). That the
     covariance is at most X follows only where all M_i are the same: else switching rectifies noise into a bias, and a
-    case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds.
-
-    Raises:
-        Undecided: If no X could be proved.
+    case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds. Raises
+    Undecided if no X could be proved.
 
     Example:
         >>> task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"])
@@ -140,11 +130,9 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
             if np.isfinite(trial).all() and _proved(exact, K, Q, R, trial):
                 return readonly(trial)
     raise Undecided(
-        Problem(
-            message=f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
-            subject=(task.role.part, ProblemPart.COST),
-            hint="weights that differ less in size may help",
-        )
+        f"{task.role.claim}: the gain of least cost was found, but no bound of its cost could be proved",
+        subject=(task.role.part, ProblemPart.COST),
+        hint="weights that differ less in size may help",
     )
 
 
@@ -159,8 +147,7 @@ def noise_level(X: Array, L: Array, Q: Array, R: Array) -> float:
     exact = decimals(L)
     W = decimals(Q) + exact * decimals(R) * exact.transpose()
     level = decimals(X).inv() * W
-    total = sum((level[k, k] for k in range(len(X))), scalar(0.0))
-    value = fraction_of(total)
+    value = fraction_of(sum((level[k, k] for k in range(len(X))), scalar(0.0)))
     near = float(value)
     return near if Fraction(near) >= value else float(np.nextafter(near, np.inf))
 

@@ -50,7 +50,6 @@ class Decay(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
-        """Yield the claim: a controller has its proofs."""
         yield cls()
 
     @classmethod
@@ -59,18 +58,15 @@ class Decay(Claim):
         yield cls()
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the proofs."""
         found, generator = list[AnyProof | Dichotomy](controller.proofs), controller.generator
         if generator is not None and isinstance(generator.certificate, Dichotomy):
             found.append(generator.certificate)
         return {"proofs": [_content(proof) for proof in found]}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return the sizes of the gains, and what is proved of them."""
         return {"figures": gain_figures(controller)}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is proved for which gains, and what follows for the errors."""
         yield from _gain_rows(words, controller)
         plant, practical = controller.plant, controller.claims_of(Practical)
         if plant.loads is not None:

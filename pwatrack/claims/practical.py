@@ -52,24 +52,16 @@ _TRIES = 6  # values of a for each ellipsoid
 
 @dataclass(frozen=True, kw_only=True)
 class Practical(Claim):
-    """What is proved of the loop with the true plant, where the design is that of one with merged cells.
+    """What is proved of the loop with the true plant, where the design is that of one with merged cells."""
 
-    Attributes:
-        plant: The true plant, f.
-        merges: What is merged in it; f̃ is the plant of the controller.
-        replaced: Why the error cannot be proved to go to 0.
-        evidence: The proof of that, where there is one.
-        bounds: What 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of
-            each input, of states, of the observer's errors.
-        beyond: Of what is tracked: those that are not proved to end below the size of their reference, with that.
-    """
-
-    plant: PWASystem
-    merges: tuple[Simplification, ...]
-    replaced: tuple[Problem, ...]
-    evidence: Any
+    plant: PWASystem  # the true plant, f
+    merges: tuple[Simplification, ...]  # what is merged in it; f̃ is the plant of the controller
+    replaced: tuple[Problem, ...]  # why the error cannot be proved to go to 0
+    evidence: Any  # the proof of that, where there is one
+    # what 1 of each w_k can make of each signal in the end, in the order of `merges`: of what is tracked, of each
+    # input, of states, of the observer's errors
     bounds: tuple[Bounds, ...]
-    beyond: Mapping[Form, float] = field(default_factory=dict)
+    beyond: Mapping[Form, float] = field(default_factory=dict)  # size of what need not end below its reference
 
     statement: ClassVar[str] = (
         "Under practical: the field of the true plant there is that of this plant and the sum of direction (function - "
@@ -86,7 +78,6 @@ class Practical(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        """Yield what was proved, for what is merged of the true plant."""
         told = content["practical"]
         if told is not None:
             bounds, plant = tuple(read_bounds(entry) for entry in told["bounds"]), controller.running
@@ -104,16 +95,13 @@ class Practical(Claim):
         return {signal: float(np.nextafter(float(size), np.inf)) if size else 0.0 for signal, size in total.items()}
 
     def leaves(self, form: Form) -> float | None:
-        """Return below what the size of a signal ends, from every start."""
         return self.final.get(form)
 
     def leaves_norm(self, of: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
-        """Return below what the norm of all signals of a kind ends, each counted in its size."""
         each = [self.final[of, k] / size for k, size in enumerate(sizes)]
         return float(np.linalg.norm(each)) * OVER_SUMS
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the true plant, what is merged in it, and the bounds of what that leaves."""
         ends = ((form, size) for form, size in self.final.items() if size or form[0] == controller.tracking)
         return {
             "practical": {
@@ -126,7 +114,6 @@ class Practical(Claim):
         }
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return a verdict of its own, what is merged, why, and below what each signal ends."""
         found = {
             "exact_tracking": [problem.message for problem in self.replaced],
             "merged": [
@@ -153,7 +140,6 @@ class Practical(Claim):
         return {"verdict": "practical", "practical": found}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is proved of a loop with merged cells, the bound of what is tracked first."""
         tracked, final = controller.tracking, self.final
         ends = list[str]()
         for form in (form for form in final if form[0] == tracked):
@@ -231,13 +217,9 @@ def deviation_bounds(
 ) -> tuple[Bounds, ...] | None:
     """Bound what each deviation can do to each signal in the end, proved exactly, per 1 of it; None if one cannot.
 
-    Args:
-        plant: f̃; if the observer runs another plant, that one has no deviation.
-        design, proofs: Its gains, and what `prove_design` returned for them.
-        X: Of the `Compensation` of loads.
-        columns: E_k (n, 1).
-        output: Whether outputs are tracked, else states.
-        states: Which states are to be bounded beside.
+    The plant is f̃; if the observer runs another one, that has no deviation. The proofs are what `prove_design`
+    returned for the gains, X is of the `Compensation` of loads, and the columns are E_k (n, 1). `output` says whether
+    outputs are tracked, else states; some `states` are to be bounded beside.
     """
     K, L = design.exact
     loops = _Loops(plant, K, L, proofs, X, output=output)
@@ -349,8 +331,7 @@ def _deviations(merge: Simplification) -> dict[int, float]:
 
 
 def _form_text(words: Words, merge: Simplification) -> str:
-    row = np.array([float(v) for v in merge.nonlinearity.row])
-    return linear_form_text(row, words.plant.states)
+    return linear_form_text(np.array([float(v) for v in merge.nonlinearity.row]), words.plant.states)
 
 
 def _unit(words: Words, merge: Simplification) -> str:

@@ -11,6 +11,7 @@ from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.words import Words
@@ -18,6 +19,7 @@ from pwatrack.control.words import Words
 CLAIMS: tuple[type[Claim], ...] = (
     Practical,
     SampledLoop,
+    SampledBounds,
     Decay,
     Costs,
     NoSaturation,
@@ -44,8 +46,7 @@ STATEMENT = " ".join(
 def proved(controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller with all claims that can be made of it, beside those that it has.
 
-    Raises:
-        PwatrackError: If one was asked for and is not so, or not proved.
+    Raises PwatrackError if one was asked for and is not so, or not proved.
     """
     for kind in CLAIMS:
         controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
@@ -55,8 +56,7 @@ def proved(controller: ProvedController, asked: Asked) -> ProvedController:
 def read(content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller with the claims that a certificate holds, without a solver.
 
-    Raises:
-        ValueError: If one does not fit to the controller.
+    Raises ValueError if one does not fit to the controller.
     """
     for kind in CLAIMS:
         controller = replace(controller, claims=(*controller.claims, *kind.read(content, controller, asked)))

@@ -33,7 +33,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row, See
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, down
-from pwatrack.errors import OutsideTheory, Problem, Undecided
+from pwatrack.errors import OutsideTheory, Undecided
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.box import Box
@@ -44,21 +44,14 @@ _CLAIM = "the proof for the uncertain parameters"
 
 @dataclass(frozen=True, kw_only=True)
 class Robust(Claim):
-    """The proof for a box.
+    """The proof for a box."""
 
-    Attributes:
-        box: The parameters that are uncertain.
-        plant: The plant of the design.
-        corners: The matrices at the corners.
-        count: How many inequalities of order 2 n each ellipsoid satisfies.
-        bounds: What 1 of an entry of w can make of each output or state that is tracked, and of each input, for every
-            plant of the box; one for each entry that is not 0.
-    """
-
-    box: Box
-    plant: PWASystem
-    corners: tuple[Matrices, ...]
-    count: int
+    box: Box  # the parameters that are uncertain
+    plant: PWASystem  # the plant of the design
+    corners: tuple[Matrices, ...]  # the matrices at the corners
+    count: int  # how many inequalities of order 2 n each ellipsoid satisfies
+    # what 1 of an entry of w can make of each output or state that is tracked, and of each input, for every plant of
+    # the box; one for each entry that is not 0
     bounds: tuple[Bounds, ...]
 
     statement: ClassVar[str] = (
@@ -70,7 +63,6 @@ class Robust(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        """Yield the proof where parameters are uncertain; see `prove_box`."""
         if asked.box:
             plant, output = controller.plant, controller.tracking == "output"
             corners = asked.corners(plant)
@@ -78,7 +70,6 @@ class Robust(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        """Yield what was proved, for the corners that the box has."""
         told = content["uncertain"]
         if told is not None and asked.box:
             plant, corners = controller.plant, tuple(asked.corners(controller.plant))
@@ -87,19 +78,16 @@ class Robust(Claim):
             yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the corners, and the bounds of entries of w."""
         intervals = [[one.name, *(text(end.centre) for end in (one.low, one.high))] for one in self.box]
         bounds = [bounds_content(bounds) for bounds in self.bounds]
         corners = [corner_content(corner) for corner in self.corners]
         return {"uncertain": {"parameters": intervals, "corners": corners, "bounds": bounds}}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return the intervals; bounds.json has what is proved of signals."""
         box = {interval.name: [float(interval.low), float(interval.high)] for interval in self.box}
         return {"uncertain": {"parameters": box, "inequalities": self.count, "rate": self.rate}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is proved for all of the box."""
         box, order = ", ".join(interval.text for interval in self.box), 2 * len(self.plant.B)
         yield (
             "uncertain",
@@ -123,7 +111,6 @@ class Robust(Claim):
         yield "guarantee", f"for all plants with {box}: time constant {up(1 / self.rate)} s"
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
-        """Return how large each signal may be for a plant of the box, from its start and for w as large as it is."""
         if seen.w is None or seen.designed:
             return {}
         most = from_start(self.bounds, (), seen.start, seen.t, states=len(self.plant.B))
@@ -165,18 +152,12 @@ class Robust(Claim):
 
 @dataclass(frozen=True, kw_only=True)
 class Differences:
-    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B.
+    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B."""
 
-    Attributes:
-        A, b: In each cell, (R, l, n) and (R, l).
-        B: (R, m).
-        of: In which state equation each is, (R,).
-    """
-
-    A: Array
-    b: Array
-    B: Array
-    of: IntArray
+    A: Array  # in each cell, (R, l, n)
+    b: Array  # (R, l)
+    B: Array  # (R, m)
+    of: IntArray  # in which state equation each is, (R,)
 
 
 def prove_box(
@@ -190,21 +171,13 @@ def prove_box(
 ) -> Robust:
     """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
 
-    Args:
-        plant, design, proofs: What was designed, with what `prove_design` returned for it.
-        corners: The matrices at the corners, with the same cells.
-        output: Whether outputs are tracked, else states.
-        box: The parameters that they are the corners of.
-
-    Raises:
-        OutsideTheory: If loads are estimated too.
-        Undecided: If there are too many inequalities, or no common P is found.
+    The proofs are what `prove_design` returned for the design, and `corners` the matrices at the corners of the box,
+    with the same cells; `output` says whether outputs are tracked, else states. Raises OutsideTheory if loads are
+    estimated too; Undecided if there are too many inequalities, or no common P is found.
     """
     if plant.loads is not None:
         message = "bounds for uncertain parameters are proved without estimates of unknown loads"
-        raise OutsideTheory(
-            Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
-        )
+        raise OutsideTheory(message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
     K, L = design.exact
     M = joint_matrices(plant.exact, corners, K, L)
     order = M[0].shape[0]
@@ -213,17 +186,14 @@ def prove_box(
         message = (
             f"{_CLAIM} is undecided: {len(M)} inequalities of order {order}, at most {most} of that order are tried"
         )
-        raise Undecided(
-            Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint="let parameters that matter least be known")
-        )
+        raise Undecided(message, subject=(ProblemPart.UNCERTAIN,), hint="let parameters that matter least be known")
     matrices = np.array([X.floats for X in M])
     worst = float(np.linalg.eigvals(matrices).real.max())
     found = best_certificate(matrices) if worst < 0 else None
     if found is None or found.rate <= 0:
         raise _undecided(len(M), order, worst)
     n = len(plant.B)
-    no_loads = BallMatrix.of(np.zeros((n, 0)), (n, 0))
-    loops = Loops(plant, K, L, proofs, no_loads, output=output)
+    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((n, 0)), (n, 0)), output=output)
     loops.M["joint"], loops.inners["joint"] = M, [Inner.proved(found.P, found.rate)]
     bounds = []
     for k in varying_rows(plant.exact, corners):
@@ -274,6 +244,4 @@ def _undecided(count: int, order: int, worst: float) -> Undecided:
     if worst >= 0:
         message += f"; at a corner an eigenvalue of the loop has real part {number_text(worst, '.3g')}"
     hint = "give smaller intervals, or ask for gains with a faster decay"
-    return Undecided(
-        Problem(message=message, subject=(ProblemPart.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX))
-    )
+    return Undecided(message, subject=(ProblemPart.UNCERTAIN,), hint=hint, remedy=Remedy(Way.SMALLER_BOX))

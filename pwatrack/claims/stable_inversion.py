@@ -25,24 +25,17 @@ class StableInversion(Claim):
 
     With η' = (15) + ρ, x_d' = f(x_d) + B u_ff + T⁻¹ [0; ρ], so that e' has −T⁻¹ [0; ρ] more; and where η jumps by J so
     does e, by −T⁻¹ [0; J], or by a mean of these where x_d changes its cell.
-
-    Attributes:
-        preview: What is known of η.
-        form: The plant in the form (11).
-        error: What is left of ‖y − y_d‖.
-        bounds: Whose ellipsoids say what is left of each signal: those of a box, or of the plant of the design.
     """
 
-    preview: NoncausalTrajectory
-    form: NormalForm
-    error: float
-    bounds: SignalBounds | Robust
+    preview: NoncausalTrajectory  # what is known of η
+    form: NormalForm  # the plant in the form (11)
+    error: float  # what is left of ‖y − y_d‖
+    bounds: SignalBounds | Robust  # whose ellipsoids say what is left of each signal
 
     beside: ClassVar[str] = "what is played back"
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["StableInversion"]:
-        """Yield what is left, where x_d is played back."""
         preview, form = controller.trajectory.preview, controller.form
         if preview is None or form is None:
             return
@@ -74,15 +67,12 @@ class StableInversion(Claim):
         return most
 
     def leaves(self, form: Form) -> float | None:
-        """Return what is left of a signal."""
         return self.by_signal.get(form)
 
     def leaves_norm(self, of: Literal["output", "state", "estimate"], sizes: Sequence[float]) -> float:
-        """Return what is left of ‖y − y_d‖; Δ is not driven."""
         return 0.0 if of == "estimate" else self.error
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return H with η_ref + H s for a bounded η that is played back beside loads, where it is not 0."""
         loads = controller.plant.loads
         if loads is None:
             return {}
@@ -90,7 +80,6 @@ class StableInversion(Claim):
         return {"eta_with_loads": BallMatrix(H).texts} if any(H.entries()) else {}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return what is played back, and what it leaves."""
         preview = self.preview
         return {
             "preview": {

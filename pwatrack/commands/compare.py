@@ -19,20 +19,13 @@ _MOST = 20  # runs: more columns and curves are not told apart
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """What a run folder says.
-
-    Attributes:
-        folder: The folder.
-        index: Its run.json.
-        t, error: Times in s, and the norm of the tracking error there; empty if it was not simulated.
-        unit: Of the error.
-    """
+    """What a run folder says."""
 
     folder: Path
     index: Mapping[str, Any]
-    t: Array
-    error: Array
-    unit: str
+    t: Array  # in s; empty if it was not simulated
+    error: Array  # the norm of the tracking error there
+    unit: str  # of the error
 
     @property
     def figures(self) -> dict[str, float]:
@@ -47,11 +40,7 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read a run folder.
-
-    Raises:
-        InvalidSpec: If it tells no run, or its trace is not as its index says.
-    """
+    """Read a run folder; raises InvalidSpec if it tells no run, or its trace is not as its index says."""
     index = read_index(folder)
     if index is None:
         raise InvalidSpec(f"{folder} tells no run: there is no run.json of ours in it")
@@ -82,11 +71,14 @@ def names_of(runs: Sequence[Run]) -> list[str]:
     return [str(run.folder) for run in runs]
 
 
-def print_comparison(screen: Console, runs: Sequence[Run]) -> None:
-    """Print the verdict and every figure of runs beside each other."""
-    table = Table()
+def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> None:
+    """Print runs beside each other, and draw their errors over each other."""
+    if len(folders) > _MOST:
+        raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
+    runs = [read_run(folder) for folder in folders]
+    names, table = names_of(runs), Table()
     table.add_column("figure", overflow="fold")
-    for name in names_of(runs):
+    for name in names:
         table.add_column(name, justify="right", overflow="fold")
     for label, key in (("spec", "name"), ("verdict", "verdict"), ("exit", "exit")):
         table.add_row(label, *(str(run.index.get(key, "")) for run in runs))
@@ -95,19 +87,7 @@ def print_comparison(screen: Console, runs: Sequence[Run]) -> None:
     for name in dict.fromkeys(name for run in runs for name in run.figures):
         table.add_row(name, *(f"{run.figures[name]:.4g}" if name in run.figures else "" for run in runs))
     screen.print(table)
-
-
-def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> None:
-    """Print runs beside each other, and draw their errors over each other.
-
-    Raises:
-        InvalidSpec: If a folder tells no run, they are too many, or the picture cannot be written.
-    """
-    if len(folders) > _MOST:
-        raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
-    runs = [read_run(folder) for folder in folders]
-    print_comparison(screen, runs)
-    drawn = [(name, run) for name, run in zip(names_of(runs), runs, strict=True) if len(run.t)]
+    drawn = [(name, run) for name, run in zip(names, runs, strict=True) if len(run.t)]
     if picture is None or not drawn:
         return
     from pwatrack.report.plots.canvas import png

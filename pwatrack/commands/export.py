@@ -1,4 +1,4 @@
-"""A spec, a run folder or a controller.json -> exported code and FMUs, with what is proved of it."""
+"""A spec, a run folder or a controller.json -> exported code, with what is proved of it, or its proof for Coq."""
 
 import hashlib
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, verify
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, certificate_text, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
@@ -33,19 +33,13 @@ _STEPS = 1000  # of a test vector
 
 @dataclass(frozen=True)
 class Subject:
-    """What is exported: a controller with its proof, and what goes with it.
-
-    Attributes:
-        unproved: What of it is not proved.
-        vector: What it reads in a test.
-        spec: Its spec, if that is there.
-    """
+    """What is exported: a controller with its proof, and what goes with it."""
 
     file: ControllerFile
     certificate: str
-    unproved: tuple[str, ...]
-    vector: Vector
-    spec: Spec | None
+    unproved: tuple[str, ...]  # what of it is not proved
+    vector: Vector  # what it reads in a test
+    spec: Spec | None  # if that is there
 
     def source(self, name: str, *, given: bool, single: bool = False) -> Source:
         """Return what its code is written from."""
@@ -58,49 +52,53 @@ class Subject:
         return {name: text for name, text in files.items() if text}
 
 
-def export(
-    to: str,
-    target: Path,
-    out: Path,
-    *,
-    parameters: Mapping[str, Any],
-    sample_time: float | None,
-    name: str | None,
-    single: bool,
-    given: bool,
-    unproved: bool,
-    failed: bool,
-) -> list[str]:
+@dataclass(frozen=True, kw_only=True)
+class ExportTask:
+    """What is to be exported, and how."""
+
+    target: Path  # a spec, a run folder or a controller.json
+    parameters: Mapping[str, Any]  # replacements, for a spec
+    sample_time: float | None  # of the controller, in s, likewise
+    name: str | None  # prefix of all names; by default from the name of the spec
+    given: bool  # whether the reference comes from outside
+    unproved: bool  # whether what is not proved is written, too
+    failed: bool  # and the controller of a run that failed
+
+    @property
+    def stored(self) -> Path | None:
+        """The controller.json that is exported; None where it is a spec, which alone can be changed."""
+        if not self.target.is_dir() and self.target.suffix != ".json":
+            return None
+        if self.parameters or self.sample_time is not None:
+            message = f"{self.target}: --set and --sample-time go with a spec, not with a controller that is stored"
+            raise InvalidSpec(message, hint="export the spec with them, or design with them and export that run")
+        return self.target / CONTROLLER if self.target.is_dir() else self.target
+
+
+def export(to: str, task: ExportTask, out: Path, *, single: bool) -> list[str]:
     """Write a controller in one of `LANGUAGES` to a folder, and return the names of the files.
 
-    Args:
-        target: A spec, a run folder or a controller.json.
-        parameters, sample_time: Replacements, and in s what the controller is sampled with; for a spec.
-        name: Prefix of all names; by default from the name of the spec.
-        given: Whether the reference comes from outside.
-        unproved, failed: Whether to write what is not proved, and the controller of a run that failed, too.
-
-    Raises:
-        InvalidSpec: If what is exported has no sample time, or cannot be read or written.
-        CheckFailed: If it is not proved, unless `unproved`, or its run failed, unless `failed`.
+    Raises InvalidSpec if what is exported has no sample time, or cannot be read or written; CheckFailed if it is not
+    proved or its run failed, unless that is exported, too.
     """
-    subject = subject_of(target, parameters, sample_time, given, unproved, failed)
-    code = subject.source(prefix(name or subject.file.name), single=single, given=given)
+    subject = subject_of(task)
+    code = subject.source(prefix(task.name or subject.file.name), single=single, given=task.given)
     try:
         return [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
     except OSError as error:
         raise unwritable(out, error) from None
 
 
-def subject_of(
-    target: Path, parameters: Mapping[str, Any], sample_time: float | None, given: bool, unproved: bool, failed: bool
-) -> Subject:
-    """Return what is exported of a spec, a run folder or a controller.json. Args and raises: as `export`."""
-    path = stored_file(target, parameters, sample_time)
-    found = of_spec(load_spec(target, parameters), sample_time, given) if path is None else _stored(path, given)
+def subject_of(task: ExportTask) -> Subject:
+    """Return what is exported of a spec, a run folder or a controller.json; raises as `export`."""
+    path, target = task.stored, task.target
+    if path is None:
+        found = of_spec(load_spec(target, task.parameters), task.sample_time, task.given)
+    else:
+        found = _stored(path, task.given)
     against = [
-        ("not proved", found.unproved, "--unproved", unproved),
-        ("its run failed", found.file.failed, "--failed", failed),
+        ("not proved", found.unproved, "--unproved", task.unproved),
+        ("its run failed", found.file.failed, "--failed", task.failed),
     ]
     problems = [
         Problem(message=f"{target}: {what}: {line}", hint=f"{option} exports it all the same, and its header says so")
@@ -113,21 +111,10 @@ def subject_of(
     return found
 
 
-def stored_file(target: Path, parameters: Mapping[str, Any], sample_time: float | None) -> Path | None:
-    """Return the controller.json that is exported; None where it is a spec, which alone can be changed."""
-    if not target.is_dir() and target.suffix != ".json":
-        return None
-    if parameters or sample_time is not None:
-        message = f"{target}: --set and --sample-time go with a spec, not with a controller that is stored"
-        raise InvalidSpec(message, hint="export the spec with them, or design with them and export that run")
-    return target / CONTROLLER if target.is_dir() else target
-
-
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
     """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it.
 
-    Raises:
-        PwatrackError: Whatever design and simulation raise, and InvalidSpec if it has no sample time.
+    Raises whatever design and simulation raise, and InvalidSpec if it has no sample time.
     """
     conditions = spec.scenario.conditions
     if sample_time is not None:
@@ -209,6 +196,19 @@ def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
     path, _ = spec_of(read_index(folder) or {}, folder, file.spec_sha256)
     spec = None if path is None else load(path, file.set)
     return spec if spec is not None and spec.sha256 == file.spec_sha256 else None
+
+
+def certify(path: Path, out: Path) -> list[str]:
+    """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files.
+
+    Raises as `verify`, and InvalidSpec if nothing in it is of the kind that the theory speaks of.
+    """
+    from pwatrack.export.coq import development
+    from pwatrack.lmi.audit.reading import parsed as certificate_content
+
+    verify(path)
+    file, text = certificate_text(path)
+    return write_texts(development(certificate_content(text), prefix(file.resolve().parent.name)), out)
 
 
 def unwritable(out: Path, error: OSError) -> InvalidSpec:

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-from pwatrack.commands.export import its_spec, stored_file, subject_of, unwritable
+from pwatrack.commands.export import ExportTask, its_spec, subject_of, unwritable
 from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
 from pwatrack.export.fmu_models import controller_model, plant_model
@@ -16,52 +16,34 @@ _DURATION = 10.0  # s: how long the FMU of a controller may run whose spec is no
 
 
 def export_fmu(
-    target: Path,
-    out: Path,
-    *,
-    parameters: Mapping[str, Any],
-    sample_time: float | None,
-    name: str | None,
-    versions: Sequence[Version],
-    of: Sequence[Literal["controller", "plant"]],
-    given: bool,
-    unproved: bool,
-    failed: bool,
+    task: ExportTask, out: Path, *, versions: Sequence[Version], of: Sequence[Literal["controller", "plant"]]
 ) -> list[str]:
-    """Write FMUs for co-simulation, and return in sentences what was written. The rest is as for `export`.
+    """Write FMUs `of` a controller, a plant whose spec is at hand, or both; return in sentences what was written.
 
-    Args:
-        target: As there; for a plant its spec must be at hand.
-        versions: Of FMI.
-        of: What is written: its controller, its plant.
-
-    Raises:
-        InvalidSpec: If there is no sample time, too many cells, something cannot be read or written, or an option is
-            not for what is exported.
-        CheckFailed: If the controller is not proved, unless `unproved`; if its run failed, unless `failed`; if a
-            compiler that is there makes no binary.
+    The rest is as for `export`. Raises also InvalidSpec for too many cells, or an option that is not for what is
+    exported, and CheckFailed if a compiler that is there makes no binary.
     """
     made = dict[str, Model]()
     if "controller" not in of:
-        unused = {"--sample-time": sample_time is not None, "--reference outside": given, "--unproved": unproved}
-        unused["--failed"] = failed
+        unused = {"--sample-time": task.sample_time is not None, "--reference outside": task.given}
+        unused |= {"--unproved": task.unproved, "--failed": task.failed}
         if any(unused.values()):
             names = ", ".join(name for name, there in unused.items() if there)
             message = f"{names}: that is for a controller, and only the plant is exported"
             raise InvalidSpec(message, hint="leave it out, or export the controller, too: --of both")
-        path = stored_file(target, parameters, None)
-        spec = load_spec(target, parameters) if path is None else its_spec(read(path), path.parent)
+        path = task.stored
+        spec = load_spec(task.target, task.parameters) if path is None else its_spec(read(path), path.parent)
     else:
-        subject = subject_of(target, parameters, sample_time, given, unproved, failed)
-        code, spec = subject.source(prefix(name or subject.file.name), given=given), subject.spec
+        subject = subject_of(task)
+        code, spec = subject.source(prefix(task.name or subject.file.name), given=task.given), subject.spec
         resources = {file: text.encode() for file, text in subject.beside.items()}
         made["controller"] = controller_model(code, _DURATION if spec is None else spec.scenario.duration, resources)
     if "plant" in of:
         if spec is None:
-            message = f"{target}: the spec that it was made from is not at hand, or was changed since"
+            message = f"{task.target}: the spec that it was made from is not at hand, or was changed since"
             hint = "--of controller exports the controller by itself; a spec exports its plant"
             raise InvalidSpec(message, hint=hint)
-        made["plant"] = plant_model(spec, prefix(name or spec.name))
+        made["plant"] = plant_model(spec, prefix(task.name or spec.name))
     return _write_fmus(made, versions, out)
 
 

@@ -161,11 +161,11 @@ class _Made:
         box, subject = spec.objectives.uncertain, ("design", "uncertain")
         with spec.located():
             if not box:
-                raise InvalidSpec(Problem(message="--robust: no parameter is uncertain", subject=("design",)))
+                raise InvalidSpec("--robust: no parameter is uncertain", subject=("design",))
             largest = largest_box(spec, controller)
             if largest.factor < 1:
                 message = f"the proof for the uncertain parameters is undecided; {largest_text(largest)}"
-                raise Undecided(Problem(message=message, subject=subject, hint="give these intervals"))
+                raise Undecided(message, subject=subject, hint="give these intervals")
         return largest, pipeline.proved_for(spec, controller)
 
     @contextmanager
@@ -258,8 +258,6 @@ def _check(spec: Spec, result: SimulatedLoop | None, many: EnsembleResult | None
 
 
 def _shown(status: Status, members: int) -> Callable[[int], object]:
-    """Return what shows the progress of an ensemble, in whole percents."""
-
     def show(done: int) -> None:
         if done * 100 // members > (done - 1) * 100 // members:
             status.update(f"Simulating the ensemble: {done:,} of {members:,} members")

@@ -50,16 +50,9 @@ _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it,
 def verify(path: Path, spec: Path | None = None) -> list[str]:
     """Check a certificate, or a run folder that holds one, and return in sentences what was checked.
 
-    What a proof speaks of is read from the spec; the files beside it are written again from the certificate and the
-    spec, by what writes them, and compared whole.
-
-    Args:
-        path: certificate.json, or the folder it is in.
-        spec: The spec it should belong to; without it, that of `spec_of`.
-
-    Raises:
-        InvalidSpec: If a file cannot be read.
-        CheckFailed: With everything that does not hold.
+    What a proof speaks of is read from the spec, by default that of `spec_of`; the files beside it are written again
+    from the certificate and the spec, by what writes them, and compared whole. Raises InvalidSpec if a file cannot be
+    read, CheckFailed with everything that does not hold.
     """
     file, text = certificate_text(path)
     said, faults = audit(text)
@@ -96,9 +89,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
 def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
     """Return the design that an audited certificate tells, with the plant and the reference of a spec.
 
-    Raises:
-        ValueError: If gains or elements do not fit to the spec.
-        PwatrackError: As `desired_trajectory`.
+    Raises ValueError if gains or elements do not fit to the spec, and as `desired_trajectory`.
     """
     true = spec.problem.plant
     spec = _merged_as_told(spec, content)
@@ -132,7 +123,6 @@ def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:
 
 
 def _told_gains(content: dict[str, Any]) -> dict[str, Any]:
-    """Return what gains.json holds."""
     return gain_content(doubles(content["K"]), doubles(content["L"]), read_costs(content))
 
 
@@ -190,7 +180,6 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
 
 
 def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield what of a goal is not proved."""
     rates = [number(proof["rate"]) for proof in proofs if "rate" in proof]
     least, most = demands(goal)
     if not rates or max(rates) < Fraction(repr(least)):

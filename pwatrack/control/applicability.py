@@ -26,29 +26,17 @@ _OUTPUT: frozenset[Tracking] = frozenset({"output"})
 
 @dataclass(frozen=True, kw_only=True)
 class Applicability:
-    """Which routes there are for a plant, why not where there are none, and what they are judged by.
+    """Which routes there are for a plant, why not where there are none, and what they are judged by."""
 
-    Attributes:
-        plant: The system (1); that it is one has been proved.
-        form: Its normal form (11), or None.
-        refusal: Why there is no normal form, else None.
-        stuck: Why (8) or (9) have no solution, where the modes of single cells decide that; else "".
-        tracking: What was asked for.
-        asked: Whether practical tracking is asked for, after any refusal of the theory.
-        uncertain: Whether only intervals of some parameters are known.
-        known: Whether the reference is known beforehand.
-        merged: The same of the plant with all cells merged that can be; None where none can.
-    """
-
-    plant: PWASystem
-    form: NormalForm | None
-    refusal: OutsideTheory | None
-    stuck: str
-    tracking: Tracking
-    asked: bool = False
-    uncertain: bool = False
-    known: bool = True
-    merged: "Applicability | None" = None
+    plant: PWASystem  # the system (1); that it is one has been proved
+    form: NormalForm | None  # its normal form (11), or None
+    refusal: OutsideTheory | None  # why there is no normal form, else None
+    stuck: str  # why (8) or (9) have no solution, where the modes of single cells decide that; else ""
+    tracking: Tracking  # what was asked for
+    asked: bool = False  # whether practical tracking is asked for, after any refusal of the theory
+    uncertain: bool = False  # whether only intervals of some parameters are known
+    known: bool = True  # whether the reference is known beforehand
+    merged: "Applicability | None" = None  # of the plant with all cells merged that can be; None where none can
 
     @cached_property
     def zero_dynamics(self) -> NDArray[np.complex128] | None:
@@ -61,14 +49,7 @@ class Applicability:
         return tuple((route, route.judge(self)) for route in ROUTES)
 
     def routes(self) -> dict[str, str]:
-        """Say of each route whether it can be gone, and under which inequalities.
-
-        Example:
-            >>> from pwatrack import load_spec
-            >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
-            >>> applicability(plant).routes()["Theorem 3"]
-            'needs (8), (9) and (17); every cell by itself is minimum phase'
-        """
+        """Say of each route whether it can be gone, and under which inequalities."""
         return {route.name: answer.text for route, answer in self.answers}
 
     @property
@@ -116,17 +97,11 @@ class Needs(Answer):
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """A way to a controller.
+    """A way to a controller."""
 
-    Attributes:
-        name: In a few words.
-        takes: For which kinds of tracking `design` goes it; nothing where it is only of interest.
-        judge: What can be said of it.
-    """
-
-    name: str
-    takes: frozenset[Tracking] = frozenset()
-    judge: Callable[[Applicability], Answer]
+    name: str  # in a few words
+    takes: frozenset[Tracking] = frozenset()  # what `design` goes it for; nothing where it is only of interest
+    judge: Callable[[Applicability], Answer]  # what can be said of it
 
 
 def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:
@@ -141,12 +116,7 @@ def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, 
 
 
 def _sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
-    """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it.
-
-    Example:
-        >>> _sides(np.array([-3.0, 1e-17 + 2j, 0.1])).tolist()
-        [-1, 0, 1]
-    """
+    """Return on which side of the imaginary axis eigenvalues are: −1, 1, or 0 where only rounding decides it."""
     real = eigenvalues.real
     near = np.abs(real) <= _ROUNDING * np.abs(eigenvalues).max(initial=0.0)
     return np.where(near, 0, np.sign(real)).astype(np.int64)
@@ -262,14 +232,7 @@ def applicability(
     uncertain: bool = False,
     known: bool = True,
 ) -> Applicability:
-    """Return what the theory can do for a plant.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> found = applicability(load_spec("specs/two_mass_backlash.yaml").problem.plant)
-        >>> found.form.degrees, found.taken
-        ((2,), 'Theorem 3, else practical tracking')
-    """
+    """Return what the theory can do for a plant."""
     sizes = sizes or Sizes.of(plant)
     scalar = scalar_form(plant)
     ways = {} if scalar is None else widest(scalar)

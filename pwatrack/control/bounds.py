@@ -52,31 +52,27 @@ MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
 _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 
 Loop = Literal["joint", "controller", "observer"]
-Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation"], int]
+Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation", "moved"], int]
 Form = tuple[Literal["output", "state", "input", "estimate", "coupling", "drive"], int]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignalEllipsoid:
-    """One ellipsoid: what d = 1 at most, or a start, can make of some signals of z' = M z + g d, M ∈ conv{M_p}.
+    """One ellipsoid: what d = 1 at most, or a start, can make of some signals of z' = M z + g d, M ∈ conv{M_p}."""
 
-    Attributes:
-        loop: "joint": z = (e, Δ) with M_ij as above, for all pairs of cells i, j. "controller": z = e, A_i + B K.
-            "observer": z = Δ, A_j + L C.
-        channel: Where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half; ("noise", k):
-            (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k; ("start", k): z(0) = ε_k of (e, Δ) and no
-            d; of a sinusoidal load all starts |v| ≤ 1 in its two entries, of which k is the first; ("deviation", k):
-            see `practical`.
-        signals: The rows c. ("output", k): c e for the k-th tracked row; ("state", k): e; ("input", k): K (e + Δ), of
-            which a single loop has its half; ("estimate", k): Δ; ("coupling", k), for the observer's loop only: what
-            of Δ drives e_k, where loads are estimated.
-        ellipsoid: Q, a and the sizes, one for each signal.
-    """
-
+    # "joint": z = (e, Δ) with M_ij as above, for all pairs of cells i, j. "controller": z = e, A_i + B K.
+    # "observer": z = Δ, A_j + L C.
     loop: Loop
+    # where d enters. ("disturbance", k): g = (ε_k, −ε_k), of which a single loop has its half;
+    # ("noise", k): (0, −L ε_k); ("input", k), for the controller's loop only: B ε_k; ("start", k): z(0) = ε_k of (e, Δ)
+    # and no d; of a sinusoidal load all starts |v| ≤ 1 in its two entries, of which k is the first;
+    # ("deviation", k): see `practical`.
     channel: Channel
+    # the rows c. ("output", k): c e for the k-th tracked row; ("state", k): e; ("input", k): K (e + Δ), of which a
+    # single loop has its half; ("estimate", k): Δ; ("coupling", k), for the observer's loop only: what of Δ drives e_k,
+    # where loads are estimated.
     signals: tuple[Form, ...]
-    ellipsoid: InvariantEllipsoid
+    ellipsoid: InvariantEllipsoid  # Q, a and the sizes, one for each signal
 
     def size(self, signal: Form) -> float:
         """Return the bound of one signal."""
@@ -85,24 +81,21 @@ class SignalEllipsoid:
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """What one channel can do to each signal, per sup |d|, or per 1 of an entry of the start.
+    """What one channel can do to each signal, per sup |d|, or per 1 of an entry of the start."""
 
-    Attributes:
-        channel: ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output,
-            ("start", k) for the k-th entry of (x − x_d, x̂ − x, ŝ − s) at the start, s the states of loads.
-        sizes: ("output", k): |y_k − y_dk| of what is tracked, for output tracking; ("state", k): |x_k − x_dk| for state
-            tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
-        parts: The ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the
-            controller's loop with this channel and all inputs, where a size is their sum.
-        peaks: Where all cells have one matrix, the peak gain of a disturbance or noise: a lower and an upper bound.
-        proved: Peak gains, with their proofs, that stand for sizes where a loop has one matrix: they are less than what
-            the ellipsoid says. By the place in `parts` of the ellipsoid for the same loop, channel and signal.
-    """
-
+    # ("disturbance", k) for d added to the k-th entry of ẋ, ("noise", k) to the k-th measured output, ("start", k) for
+    # the k-th entry of (x − x_d, x̂ − x, ŝ − s) at the start, s the states of loads
     channel: Channel
+    # ("output", k): |y_k − y_dk| of what is tracked, for output tracking; ("state", k): |x_k − x_dk| for state
+    # tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
     sizes: dict[Form, float]
+    # the ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the controller's
+    # loop with this channel and all inputs, where a size is their sum
     parts: tuple[SignalEllipsoid, ...]
+    # where all cells have one matrix, the peak gain of a disturbance or noise: a lower and an upper bound
     peaks: Mapping[Form, tuple[float, float]] = field(default_factory=dict)
+    # peak gains, with their proofs, that stand for sizes where a loop has one matrix: they are less than what the
+    # ellipsoid says. By the place in `parts` of the ellipsoid for the same loop, channel and signal.
     proved: Mapping[int, PeakGain] = field(default_factory=dict)
 
     @property
@@ -118,13 +111,9 @@ Sized = tuple[dict[Form, float], tuple[SignalEllipsoid, ...]]  # of signals, and
 class Loops:
     """The three loops, exact: their matrices, where d enters, the rows of the signals.
 
-    Args:
-        K, L: The gains.
-        X: Of the `Compensation` of loads.
-
-    Attributes:
-        acting: A disturbance of each state equation, then the noise of each measured output.
-        starts: The entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a sinusoidal load.
+    X is of the `Compensation` of loads. `acting` are a disturbance of each state equation, then the noise of each
+    measured output; `starts` the entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a
+    sinusoidal load.
     """
 
     def __init__(
@@ -304,5 +293,4 @@ def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner
 
 
 def _column(X: BallMatrix, k: int) -> BallMatrix:
-    """Return column k, (n, 1)."""
     return X.part(range(X.shape[0]), [k])

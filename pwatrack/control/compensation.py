@@ -25,7 +25,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, each
 from pwatrack.causes import ProblemPart
 from pwatrack.control.realisable import pseudo_inverse
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
@@ -34,19 +34,12 @@ from pwatrack.rational import Rational, on_entries
 
 @dataclass(frozen=True, kw_only=True)
 class Compensation:
-    """What the estimates ŝ of the loads add to the desired trajectory, by the cell of x_d.
+    """What the estimates ŝ of the loads add to the desired trajectory, by the cell of x_d."""
 
-    Attributes:
-        X: x_d + X ŝ, (n, p), exactly.
-        u_ff: u_ff + u_ff[i] ŝ, (l, m, p).
-        rate: η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given.
-        guards: What ŝ adds to where the cells of x_d end, (k, p): see `DesiredTrajectory`.
-    """
-
-    X: BallMatrix
-    u_ff: Array
-    rate: Array
-    guards: Array
+    X: BallMatrix  # x_d + X ŝ, (n, p), exactly
+    u_ff: Array  # u_ff + u_ff[i] ŝ, (l, m, p)
+    rate: Array  # η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given
+    guards: Array  # what ŝ adds to where the cells of x_d end, (k, p): see `DesiredTrajectory`
 
 
 def compensation(
@@ -54,8 +47,7 @@ def compensation(
 ) -> Compensation:
     """Return what makes up for the loads, for output tracking with the normal form and so many η̂.
 
-    Raises:
-        OutsideTheory: If a load moves a derivative of the output that is another form of the state in other cells.
+    Raises OutsideTheory if a load moves a derivative of the output that is another form of the state in other cells.
     """
     (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
     p = 0 if loads is None else loads.E.shape[1]
@@ -110,13 +102,11 @@ def check_played_back(form: NormalForm) -> None:
         acts = rate[:, list(states)].max(axis=1)
         if acts.any():
             raise OutsideTheory(
-                Problem(
-                    message=f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
-                    "that have unstable modes: x_d is worked out beforehand, and what the estimate, which is not known "
-                    "then, would add to it is not the same in all cells",
-                    subject=(ProblemPart.ESTIMATE,),
-                    hint="a load that acts as an input does, or another output",
-                )
+                f"the load {load.name} acts on η = {form.eta_names[int(acts.argmax())]}, internal dynamics "
+                "that have unstable modes: x_d is worked out beforehand, and what the estimate, which is not known "
+                "then, would add to it is not the same in all cells",
+                subject=(ProblemPart.ESTIMATE,),
+                hint="a load that acts as an input does, or another output",
             )
 
 
@@ -165,12 +155,10 @@ def _bent(form: NormalForm, G: BallMatrix) -> OutsideTheory:
     moved = [name for name in bent if G.floats[last[name]].any()]
     name = (moved or bent)[0]
     return OutsideTheory(
-        Problem(
-            message=f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
-            "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
-            subject=(ProblemPart.ESTIMATE,),
-            hint="estimate loads that enter where inputs do",
-        )
+        f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
+        "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
+        subject=(ProblemPart.ESTIMATE,),
+        hint="estimate loads that enter where inputs do",
     )
 
 

@@ -18,6 +18,7 @@ from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.headroom import Headroom
+from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
@@ -35,58 +36,38 @@ Row = tuple[str, str]  # a label, or nothing where it is that of the row before,
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """What a loop is to be proved for.
+    """What a loop is to be proved for."""
 
-    Attributes:
-        words: What it is called, and the goals of its gains.
-        room: What the feedforward leaves of the limits of inputs, where there are some.
-        box: Parameters that are uncertain.
-        corners: The matrices at the corners of their box, for the plant of a design.
-        solver: Who is asked for what is proved later.
-        sampled: The gains of a program that predicts and corrects, where it is to be proved with them.
-    """
-
-    words: Words
-    room: Headroom | None
-    box: Box
-    corners: Callable[[PWASystem], Sequence[Matrices]]
-    solver: Solver = "structured"
-    sampled: SampledGains | None = None
+    words: Words  # what it is called, and the goals of its gains
+    room: Headroom | None  # what the feedforward leaves of the limits of inputs, where there are some
+    box: Box  # parameters that are uncertain
+    corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
+    solver: Solver = "structured"  # who is asked for what is proved later
+    sampled: SampledGains | None = None  # the gains of a program that predicts and corrects, where they matter
+    acting: "Callable[[ProvedController, SampledErrors], Mapping[Channel, float] | None] | None" = None  # in the run
 
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What of a run decides which claims speak of it, and what they allow.
+    """What of a run decides which claims speak of it, and what they allow."""
 
-    Attributes:
-        t: Times of samples in s, (K,).
-        start: (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,).
-        acting: The largest size so far of what disturbs, and of noise the largest it ever gets, (K,) each.
-        designed: Whether the loop is the one that was designed, but for disturbances, noise and limits not come to.
-        w: Of uncertain parameters, how large each entry of w is so far, (K, n), where the plant is one of their box.
-    """
-
-    t: Array
-    start: Array
-    acting: Mapping[Channel, Array]
-    designed: bool
-    w: Array | None = None
+    t: Array  # times of samples in s, (K,)
+    start: Array  # (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,)
+    acting: Mapping[Channel, Array]  # the largest size so far of what disturbs, and of noise at any time, (K,) each
+    designed: bool  # whether the loop is the one that was designed, but for disturbances, noise and limits not come to
+    w: Array | None = None  # how large each entry of w is so far, (K, n), where the plant is one of a box
+    sampled: bool = False  # whether it is the loop of the program, with the plant of the design, limits not come to
 
 
 class Claim(ABC):
     """Something that is proved of a loop: how it is stated, stored, said, drawn and held against a run.
 
     Beside each in `lmi.audit` is how it is decided again from its data.
-
-    Attributes:
-        statement: The exact mathematical sentence, for the text of a certificate; "" where another claim's says it.
-        nothing: What a certificate holds where the claim is not made, by key; what `data` gives takes its place.
-        beside: What adds to all bounds of signals, in words; "" where it leaves nothing.
     """
 
-    statement: ClassVar[str] = ""
-    nothing: ClassVar[Mapping[str, Any]] = {}
-    beside: ClassVar[str] = ""
+    statement: ClassVar[str] = ""  # the exact sentence, for the text of a certificate; "" where another's says it
+    nothing: ClassVar[Mapping[str, Any]] = {}  # what a certificate holds by key where it is not made, for `data`
+    beside: ClassVar[str] = ""  # what adds to all bounds of signals, in words; "" where it leaves nothing
 
     @classmethod
     @abstractmethod
@@ -149,26 +130,16 @@ class ProvedController:
 
     x̂' = A_i x̂ + b_i + B u + L (ŷ − y), ŷ = C x̂ (18);  u = K (x̂ − x_d) + u_ff (10), (19). Where the plant has loads, the
     observer runs these too, and `compensation` says what they add to x_d and u_ff.
-
-    Attributes:
-        plant: The system (1) that gains and trajectory are made for; for practical tracking with merged cells.
-        running: The plant that it controls.
-        design: The gains with their proofs.
-        trajectory: Where x_d and u_ff come from.
-        generator: The trajectory generator (15), for output tracking only.
-        proofs: Exact proofs of (8), (9) and (17) for the matrices and gains as printed.
-        sizes: Of all signals of the plant: what the gains were weighed with.
-        claims: What is proved of the loop, in the order in which it is said.
     """
 
-    plant: PWASystem
-    running: PWASystem
-    design: Gains
-    trajectory: DesiredTrajectory
-    generator: TrajectoryGenerator | None
-    proofs: tuple[AnyProof, ...]
-    sizes: Sizes
-    claims: tuple[Claim, ...] = ()
+    plant: PWASystem  # the system (1) that gains and trajectory are made for; for practical tracking with merged cells
+    running: PWASystem  # the plant that it controls
+    design: Gains  # the gains with their proofs
+    trajectory: DesiredTrajectory  # where x_d and u_ff come from
+    generator: TrajectoryGenerator | None  # the trajectory generator (15), for output tracking only
+    proofs: tuple[AnyProof, ...]  # exact proofs of (8), (9) and (17) for the matrices and gains as printed
+    sizes: Sizes  # of all signals of the plant: what the gains were weighed with
+    claims: tuple[Claim, ...] = ()  # what is proved of the loop, in the order in which it is said
 
     @property
     def tracking(self) -> Literal["output", "state"]:

@@ -41,10 +41,8 @@ def best_certificate(
     its values at two rates meets 0 below the largest rate: the secant method gets there from below. Where a
     rate is too fast, the interval between it and the best one is halved.
 
-    Args:
-        M: (l, n, n), with all eigenvalues in the open left half plane.
-        start: A P (n, n) that may prove something.
-        sizes: Of the states, (n,): what numbers are counted in; those that balance M by default.
+    M (l, n, n) has all eigenvalues in the open left half plane; `start` is a P (n, n) that may prove something. Numbers
+    are counted in sizes of the states, (n,), by default those that balance M.
     """
     search, points = _Rates(M, start, sizes), list[tuple[float, float]]()
     trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
@@ -70,11 +68,11 @@ def best_certificate(
     return search.best
 
 
-def first_certificate(M: Array, *, sizes: Array | None = None) -> Certificate | None:
+def first_certificate(M: Array) -> Certificate | None:
     """Return the first proof of M_i P + P M_iᵀ ≺ 0 for all cells that is found, of any rate, or None."""
     if not (np.isfinite(M).all() and np.linalg.eigvals(M).real.max(initial=-1.0) < 0):
         return None
-    corners, at = extreme(M), _near(M, None, sizes)
+    corners, at = extreme(M), _near(M, None, None)
     for _ in range(_RECENTRED + 1):
         found = solve(largest_margin(lyapunov(at.system(corners))), gap=_NEAR, against=0.0)
         if found is None or not found.objective < 0:  # the sign of the largest margin is the same in all coordinates
@@ -178,20 +176,9 @@ def prove_convergence(
 
     Where there is no such P, a polynomial that decays may take its place: see `lmi.polynomial`.
 
-    Args:
-        M: (l, n, n).
-        claim: What is to be proved, for messages: `"(17)"`.
-        exact: The matrices M_i that a proof is about; None for the decimals that M prints as.
-        hint, remedy: What to do where a cell is unstable by itself.
-
-    Raises:
-        Infeasible: If it is proved that no P exists, and no polynomial is found.
-        Undecided: If neither is proved.
-
-    Example:
-        >>> M = np.array([[[-1.0, 0.0], [1.0, -2.0]], [[-1.0, 0.0], [0.5, -2.0]]])
-        >>> 0.9 < prove_convergence(M, claim="(7)", cells=("a", "b")).rate < 1.0
-        True
+    M is (l, n, n), and the claim is what messages say, `"(17)"`. A proof is about the exact matrices M_i, or about the
+    decimals that M prints as. Hint and remedy are what to do where a cell is unstable by itself. Raises Infeasible if
+    it is proved that no P exists, and no polynomial is found; Undecided if neither is proved.
     """
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
@@ -280,7 +267,6 @@ def _undecided(
 def _conflict_text(
     claim: str, proof: Refutation, abscissa: Array, cells: Sequence[str], tried: tuple[int, ...], most: int | None
 ) -> str:
-    """Return why a claim is infeasible: cells that are unstable by themselves, or whose conflict is proved."""
     names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
     if names:
         reason = f"{names} not stable"
@@ -291,12 +277,7 @@ def _conflict_text(
 
 
 def _tried_text(degrees: tuple[int, ...]) -> str:
-    """Say which polynomials were looked for in vain.
-
-    Example:
-        >>> _tried_text((4, 6)), _tried_text(())
-        (', and no polynomial of degree 4 or 6 was found to take its place', '')
-    """
+    """Say which polynomials were looked for in vain."""
     if not degrees:
         return ""
     return f", and no polynomial of degree {joined([*map(str, degrees)], 'or')} was found to take its place"

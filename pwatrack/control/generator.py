@@ -22,21 +22,14 @@ _MISSED = 1e-9  # of the largest entry: an equation of Assumption 2 that is miss
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryGenerator:
-    """The PWA filter (15): η̂' = A_ηi η̂ + b_ηi + B_ηi [ξ_d; y_d⁽ʳ⁾], and û_ff of (16).
+    """The PWA filter (15): η̂' = A_ηi η̂ + b_ηi + B_ηi [ξ_d; y_d⁽ʳ⁾], and û_ff of (16)."""
 
-    Attributes:
-        form: The normal form (11) it is made from; its cells are those of the plant at x̂_d.
-        A_eta, b_eta, B_eta: (l, n − r, n − r), (l, n − r), (l, n − r, r + p) for p outputs.
-        shift: M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none.
-        certificate: What shows (17): a common P, or a polynomial that takes its place.
-    """
-
-    form: NormalForm
-    A_eta: Array
-    b_eta: Array
-    B_eta: Array
-    shift: Array | None
-    certificate: Found | Dichotomy
+    form: NormalForm  # the normal form (11) it is made from; its cells are those of the plant at x̂_d
+    A_eta: Array  # (l, n − r, n − r)
+    b_eta: Array  # (l, n − r)
+    B_eta: Array  # (l, n − r, r + p) for p outputs
+    shift: Array | None  # M (n − r, r) such that η = η̄ + M ξ_d satisfies Assumption 2, or None if there is none
+    certificate: Found | Dichotomy  # what shows (17): a common P, or a polynomial that takes its place
 
     @property
     def played_back(self) -> bool:
@@ -53,12 +46,9 @@ class TrajectoryGenerator:
 def trajectory_generator(form: NormalForm, *, preview: bool = True) -> TrajectoryGenerator:
     """Build the generator and prove that its dynamics converge: (17); or (17±), for a reference known beforehand.
 
-    As u does not enter η̇ in this form, (14) reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i.
-
-    Raises:
-        Infeasible: If (17) is proved to have no solution, the zero dynamics do not converge; and, for a reference
-            known beforehand, (17±) too.
-        Undecided: If one of them is neither proved nor proved impossible.
+    As u does not enter η̇ in this form, (14) reads A_ηi = Ψ_i, B_ηi = [χ_i 0], b_ηi = σ_i. Raises Infeasible if (17) is
+    proved to have no solution, the zero dynamics do not converge; and, for a reference known beforehand, (17±) too;
+    Undecided if one of them is neither proved nor proved impossible.
     """
     unused = np.zeros((*form.chi.shape[:2], len(form.degrees)))
     return TrajectoryGenerator(
@@ -129,10 +119,6 @@ def assumption_2_shift(A_eta: Array, B_xi: Array) -> Array | None:
     With η = η̄ + M ξ_d the input matrices of (14) become A_ηi M + B_ηi^ξ (and
     −M on ξ̇_d), so Assumption 2 holds for η̄; the paper's (21) is the case M = [1 0; 0 0].
     B_xi is the part of B_η that acts on ξ_d, (l, p, r).
-
-    Example:
-        >>> assumption_2_shift(np.array([[[-1.0]], [[-3.0]]]), np.array([[[0.5]], [[2.5]]])).tolist()
-        [[1.0]]
     """
     p, r = B_xi.shape[1:]
     if not p or len(A_eta) == 1:

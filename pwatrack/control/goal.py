@@ -21,29 +21,21 @@ def _positive(**numbers: object) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """The gain is known and only to be proved.
+    """The gain is known and only to be proved."""
 
-    Attributes:
-        gain: K, or L, as it stands in (10) and (18).
-    """
-
-    gain: Array
+    gain: Array  # K, or L, as it stands in (10) and (18)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AtLeast:
     """The LQR, or Kalman, gain with unit weights in sizes, of the plant with the rate added to A.
 
-    Attributes:
-        rate: Decay rate in 1/s that is to be reached; 0 where any will do.
-        bound: On the norm of the gain in sizes, see `Task.norm`: where that gain is larger, the smallest one that
-            is found is taken.
-
-    Raises:
-        InvalidSpec: If a number is not a positive one (a rate may be 0, a bound infinite).
+    Raises InvalidSpec if a number is not a positive one (a rate may be 0, a bound infinite).
     """
 
-    rate: float = 0.0
+    rate: float = 0.0  # decay rate in 1/s that is to be reached; 0 where any will do
+    # on the norm of the gain in sizes, see `Task.norm`: where that gain is larger, the smallest one that is found is
+    # taken
     bound: float = np.inf
 
     def __post_init__(self) -> None:
@@ -52,13 +44,9 @@ class AtLeast:
 
 @dataclass(frozen=True, kw_only=True)
 class Smallest:
-    """The smallest gain that is found for a rate.
+    """The smallest gain that is found for a rate."""
 
-    Attributes:
-        rate: In 1/s; 0 where any will do.
-    """
-
-    rate: float = 0.0
+    rate: float = 0.0  # in 1/s; 0 where any will do
 
     def __post_init__(self) -> None:
         _positive(rate=self.rate or 1.0)
@@ -66,13 +54,9 @@ class Smallest:
 
 @dataclass(frozen=True, kw_only=True)
 class Fastest:
-    """The largest rate that is found.
+    """The largest rate that is found."""
 
-    Attributes:
-        bound: On the norm of the gain in sizes, see `Task.norm`.
-    """
-
-    bound: float = np.inf
+    bound: float = np.inf  # on the norm of the gain in sizes, see `Task.norm`
 
     def __post_init__(self) -> None:
         _positive(gain=1.0 if self.bound == np.inf else self.bound)
@@ -80,13 +64,10 @@ class Fastest:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeastCost:
-    """The gain of the least bound of a quadratic cost.
+    """The gain of the least bound of a quadratic cost."""
 
-    Attributes:
-        Q, R: Weights of ∫(eᵀQe + vᵀRv) dt, (n, n) and (m, m); for the observer the covariance densities
-            of noise on the states (n, n) and on the measurement (q, q).
-    """
-
+    # weights of ∫(eᵀQe + vᵀRv) dt, (n, n) and (m, m); for the observer the covariance densities of noise on the states
+    # (n, n) and on the measurement (q, q)
     Q: Array
     R: Array
 
@@ -96,10 +77,5 @@ DEFAULT = AtLeast()
 
 
 def demands(goal: Goal) -> tuple[float, float]:
-    """Return the rate in 1/s that a goal wants at least, and the norm that its gain may have at most.
-
-    Example:
-        >>> demands(AtLeast(rate=2)), demands(Fastest(bound=5))
-        ((2.0, inf), (0.0, 5.0))
-    """
+    """Return the rate in 1/s that a goal wants at least, and the norm that its gain may have at most."""
     return float(getattr(goal, "rate", 0.0)), float(getattr(goal, "bound", np.inf))

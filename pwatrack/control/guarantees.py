@@ -33,43 +33,28 @@ from pwatrack.rational import Rational, floats, identity, scalar
 
 @dataclass(frozen=True, kw_only=True)
 class Contraction:
-    """One proof, read as a measure ‖·‖ of an error that shrinks: d‖e‖/dt ≤ −rate ‖e‖ + ‖d‖ for e' = M̂ e + d.
+    """One proof, read as a measure ‖·‖ of an error that shrinks: d‖e‖/dt ≤ −rate ‖e‖ + ‖d‖ for e' = M̂ e + d."""
 
-    Attributes:
-        degree: Of the proof: 2, or that of a polynomial that takes the place of a common P.
-        rate: α in 1/s.
-        share: Every entry of the gain may differ from that printed by less than this share of it, and be another at
-            every time: the norm shrinks at this rate still. 0 for (17), which has no gain, and where nothing is proved
-            of it, for a polynomial.
-        gauge: The norms that ‖e‖ and ‖d‖ lie between, exact; of a quadratic form they are one.
-        from_norm: |e| ≤ from_norm ‖e‖, with |e| in sizes; of the generator in the units given.
-    """
-
-    degree: int
-    rate: float
+    degree: int  # of the proof: 2, or that of a polynomial that takes the place of a common P
+    rate: float  # α in 1/s
+    # every entry of the gain may differ from that printed by less than this share of it, and be another at every time:
+    # the norm shrinks at this rate still. 0 for (17), which has no gain, and where nothing is proved of it, for a
+    # polynomial.
     share: float
-    gauge: Gauge
-    from_norm: float
+    gauge: Gauge  # the norms that ‖e‖ and ‖d‖ lie between, exact; of a quadratic form they are one
+    from_norm: float  # |e| ≤ from_norm ‖e‖, with |e| in sizes; of the generator in the units given
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guarantees:
-    """What the proofs of a design promise; where there are several proofs, each promise is that of the best.
+    """What the proofs of a design promise; where there are several proofs, each promise is that of the best."""
 
-    Attributes:
-        controller, observer, generator: The proofs of (8), (9) and (17) as contractions.
-        output: Of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8).
-        loads: How many states of the observer are those of loads; there are none, and it starts with none, in what
-            the bounds over time are about.
-        drive: ‖B K Δ‖_c, or what stands for it with loads, ≤ drive_co ‖Δ‖_o for each proof c of (8) and o of (9).
-    """
-
-    controller: tuple[Contraction, ...]
-    observer: tuple[Contraction, ...]
-    generator: tuple[Contraction, ...]
-    output: tuple[float, ...]
-    drive: tuple[tuple[float, ...], ...]
-    loads: int = 0
+    controller: tuple[Contraction, ...]  # the proofs of (8)
+    observer: tuple[Contraction, ...]  # of (9)
+    generator: tuple[Contraction, ...]  # of (17)
+    output: tuple[float, ...]  # of the tracked rows c, |c e| ≤ output_c ‖e‖_c for each proof c of (8)
+    drive: tuple[tuple[float, ...], ...]  # ‖B K Δ‖_c, or what stands for it, ≤ drive_co ‖Δ‖_o for c of (8), o of (9)
+    loads: int = 0  # states of the observer that are those of loads, 0 in what is said over time
 
     def observer_error(self, t: Array, start: Array) -> Array:
         """Return a bound of |x̂ − x|, in sizes if there are several states, at times t (K,) from x̂(0) − x(0) (n,)."""
@@ -124,16 +109,7 @@ class Guarantees:
 
 
 def guarantees(plant: PWASystem, design: Gains, proofs: Sequence[AnyProof], sizes: Sizes, X: BallMatrix) -> Guarantees:
-    """Read off the exact proofs what they promise; X is of the `Compensation`. All is rounded to the safe side.
-
-    Example: the paper's example. With every entry of L up to 1.5 % off, the observer still converges as e^(−0.0681 t).
-
-        >>> from pwatrack import design, load_spec
-        >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
-        >>> best, second = controller.guarantees.observer
-        >>> round(best.rate, 3), round(second.rate, 4), 0.015 < second.share < 0.02
-        (0.084, 0.0681, True)
-    """
+    """Read off the exact proofs what they promise; X is of the `Compensation`. All is rounded to the safe side."""
     exact, (K, L) = plant.exact, design.exact
     BK, q, A, seen = exact.B @ K, len(plant.tracked), [exact.A[i] for i in plant.hull], plant.observed
     drives = coupling(plant, K, L, X)

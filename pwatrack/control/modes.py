@@ -63,12 +63,11 @@ def _looked_at(task: Task, rate: float) -> list[int]:
 def check_loads(plant: PWASystem, *, output: bool) -> None:
     """Refuse loads that the outputs do not show, or that nothing makes up for; all exactly, at the middle of balls.
 
-    Raises:
-        OutsideTheory: If states are tracked and a load enters where no input does.
-        Infeasible: If (9) has no solution for the plant with its loads: [jω I − A_i, −E; C, 0] has not full column rank
-            in some cell, E the columns of the loads of frequency ω; or there are as many constants as outputs and
-            det [A_i, E; C, 0] has not the same sign in all cells: (9) is affine in A_i, so it speaks of all matrices
-            between two cells too, and in one of them the determinant is 0.
+    Raises OutsideTheory if states are tracked and a load enters where no input does; Infeasible if (9) has no solution
+    for the plant with its loads: [jω I − A_i, −E; C, 0] has not full column rank in some cell, E the columns of the
+    loads of frequency ω; or there are as many constants as outputs and det [A_i, E; C, 0] has not the same sign in all
+    cells: (9) is affine in A_i, so it speaks of all matrices between two cells too, and in one of them the determinant
+    is 0.
     """
     loads = plant.loads
     if loads is None:
@@ -97,11 +96,10 @@ def _check_matched(plant: PWASystem, loads: Loads) -> None:
                 "is given"
             )
             hint = "track an output instead: there x_d follows from the reference and the load"
-            raise OutsideTheory(Problem(message=message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint))
+            raise OutsideTheory(message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint)
 
 
 def _too_many(plant: PWASystem, members: list[int]) -> str:
-    """Say that there are more loads of one frequency than outputs, where it is so."""
     q = len(plant.outputs)
     if len(members) <= q:
         return ""
@@ -114,8 +112,7 @@ def _hidden(plant: PWASystem, loads: Loads, members: list[int], frequency: Fract
     n, q, p = len(plant.states), len(plant.outputs), len(members)
     E, C = loads.E.part(range(n), [loads.where[k] for k in members]).centre, plant.exact.C.centre
     for name, A_i in zip(plant.cell_names, plant.exact.A, strict=True):
-        pencil = _pencil(A_i.centre, E, C, frequency)
-        kernel = left_null_space(pencil.transpose())
+        kernel = left_null_space(_pencil(A_i.centre, E, C, frequency).transpose())
         if not kernel.nrows():
             continue
         blind = left_null_space(_pencil(A_i.centre, E, C, frequency, loads=False).transpose())

@@ -17,33 +17,17 @@ _BISECTIONS = 4  # between the fastest rate that was reached and the next
 
 @dataclass(frozen=True, kw_only=True)
 class Front:
-    """The trade between decay and gain.
+    """The trade between decay and gain."""
 
-    Attributes:
-        role: CONTROLLER or OBSERVER.
-        rates: Certified rates in 1/s, increasing, (k,).
-        norms: ‖K‖ or ‖L‖ in sizes of the smallest gain found for each, (k,); see `Task.norm`.
-        limit: A rate in 1/s at which no gain was found any more; infinite if none was reached.
-        chosen: Rate and norm of the gain that the design has.
-    """
-
-    role: Role
-    rates: Array
-    norms: Array
-    limit: float
-    chosen: tuple[float, float]
+    role: Role  # CONTROLLER or OBSERVER
+    rates: Array  # certified rates in 1/s, increasing, (k,)
+    norms: Array  # ‖K‖ or ‖L‖ in sizes of the smallest gain found for each, (k,); see `Task.norm`
+    limit: float  # a rate in 1/s at which no gain was found any more; infinite if none was reached
+    chosen: tuple[float, float]  # rate and norm of the gain that the design has
 
 
 def pareto(task: Task, K: Array, rate: float) -> Front:
-    """Return the smallest gains at rates around that (1/s) of a design with the gain K (m, n).
-
-    Example: for ẋ = x + u the rate α needs |K| = 1 + α.
-
-        >>> task = Task(A=np.array([[[1.0]]]), B=np.eye(1), cells=["all"])
-        >>> front = pareto(task, np.array([[-3.0]]), 2.0)
-        >>> bool(np.allclose(front.norms, 1 + front.rates, rtol=1e-3)), front.limit
-        (True, inf)
-    """
+    """Return the smallest gains at rates around that (1/s) of a design with the gain K (m, n)."""
     points: list[tuple[float, float]] = []
     search, limit = Search(task), np.inf
     for factor in _FACTORS:

@@ -12,7 +12,7 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.task import Task
-from pwatrack.errors import Problem, Undecided
+from pwatrack.errors import Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
 from pwatrack.lmi.polynomial import AnyProof, Found, PolynomialLyapunov, exactly
@@ -28,17 +28,10 @@ def prove_design(
 ) -> tuple[AnyProof, ...]:
     """Prove (8), (9) and, with a generator, (17) exactly: each for its best rate, and for a small overshoot.
 
-    The P of the best rate is ill-conditioned, so it promises little for short times and for changed
-    matrices. A second P gives up a tenth of the rate for the least condition number in sizes, and another tenth
-    for a margin. Where no such proof is found the first stands alone.
-
-    Raises:
-        Undecided: If a certificate that holds in floating point could not be proved exactly.
-
-    Example:
-        >>> from pwatrack import design, load_spec
-        >>> [proof.role.name for proof in design(load_spec("specs/two_mass_backlash.yaml")).proofs]
-        ['controller', 'controller', 'observer', 'observer', 'generator', 'generator']
+    The P of the best rate is ill-conditioned, so it promises little for short times and for changed matrices. A second
+    P gives up a tenth of the rate for the least condition number in sizes, and another tenth for a margin. Where no
+    such proof is found the first stands alone. Raises Undecided if a certificate that holds in floating point could not
+    be proved exactly.
     """
     sizes, proofs = sizes or Sizes.of(plant), []
     for role, gain, certificate in ((CONTROLLER, design.K, design.controller), (OBSERVER, design.L, design.observer)):
@@ -62,22 +55,17 @@ def prove_inequality(
 ) -> list[AnyProof]:
     """Return the proof of the best rate and, if there is one, that of a small overshoot; a polynomial has one proof.
 
-    Args:
-        certificate: What shows it in floating point.
-        hull: Places of some that have all in their hull: what is affine in M_i is proved for these. A polynomial has an
-            N_i of its own for each.
-        sizes: Of the states, (n,).
+    The certificate shows it in floating point. Those at the places `hull` have all M_i in their hull: what is affine in
+    M_i is proved for these, but a polynomial has an N_i of its own for each. Sizes are of the states, (n,).
     """
     M = different(M if hull is None or isinstance(certificate, PolynomialLyapunov) else [M[i] for i in hull])
     best = exactly(role, M, certificate)
     if best is None:
         raise Undecided(
-            Problem(
-                message=f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
-                subject=(ProblemPart.DESIGN,),
-                hint="the case is marginal: ask for less, or try the other solver",
-                remedy=other_solver(),
-            )
+            f"{role.name}: a solution was found in floating point, but it could not be proved exactly",
+            subject=(ProblemPart.DESIGN,),
+            hint="the case is marginal: ask for less, or try the other solver",
+            remedy=other_solver(),
         )
     if isinstance(certificate, PolynomialLyapunov):
         return [best]

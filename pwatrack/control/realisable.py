@@ -18,7 +18,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import absolute
 from pwatrack.causes import Subject
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import Exosystem, exosystem, spectral_terms
 from pwatrack.rational import Rational, beside, decimals, floats, left_null_space, on_entries, pivots, stacked
@@ -35,16 +35,11 @@ class LeftOver:
 
     As e^{St} = Σ_λ e^{λt} Σ_m t^m/m! E_λm, r_i is 0 on a stretch of time, however short, exactly where every
     rows_i E_λm (w, 1) is 0: the same as N Sᵏ w = 0 for k < dim S, but without powers of S.
-
-    Attributes:
-        rows: (l, n, p + 1).
-        terms: Bounds of the terms that each row is the difference of, (l, n, p + 1).
-        trajectory: Of x_d in closed form.
     """
 
-    rows: Array
-    terms: Array
-    trajectory: DesiredTrajectory
+    rows: Array  # (l, n, p + 1)
+    terms: Array  # bounds of the terms that each row is the difference of, (l, n, p + 1)
+    trajectory: DesiredTrajectory  # of x_d in closed form
 
     def sizes(self, starts: Array, lengths: Array) -> tuple[Array, Array]:
         """Return bounds of |r_i| on pieces of x_d and of their terms, both (l, pieces, n), from all coefficients."""
@@ -84,12 +79,7 @@ def needed_inputs(plant: PWASystem, Q: Array, Q_rate: Array) -> Array:
 
 
 def pseudo_inverse(B: Array) -> Array:
-    """Return B⁺ (m, n) in units where rows and columns of B have size 1; 0 where an input does nothing.
-
-    Example:
-        >>> pseudo_inverse(np.array([[0.0, 0.0], [2e-9, 0.0]])).round(6).tolist()
-        [[0.0, 500000000.0], [0.0, 0.0]]
-    """
+    """Return B⁺ (m, n) in units where rows and columns of B have size 1; 0 where an input does nothing."""
     rows, columns = _scales(B, 3)
     return np.asarray(columns[:, None] * np.linalg.pinv(rows[:, None] * B * columns) * rows)
 
@@ -166,11 +156,9 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
         misses.append(point)
     more = [f"and none in {len(misses) - _MOST_SAID} more cells"] if len(misses) > _MOST_SAID else []
     raise OutsideTheory(
-        Problem(
-            message="no equilibrium has the wanted outputs: " + "; ".join(misses[:_MOST_SAID] + more),
-            subject=subject,
-            hint="choose a set-point that the plant can rest at",
-        )
+        "no equilibrium has the wanted outputs: " + "; ".join(misses[:_MOST_SAID] + more),
+        subject=subject,
+        hint="choose a set-point that the plant can rest at",
     )
 
 

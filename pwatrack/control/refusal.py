@@ -33,7 +33,7 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
             message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
         hint = "another actuator or measured output may help, or the other solver"
         remedy = other_solver()
-        return Undecided(Problem(message=message, subject=subject, hint=hint, remedy=remedy))
+        return Undecided(message, subject=subject, hint=hint, remedy=remedy)
     slower = ", or a slower rate" if rate else ""
     if refutation.eigenvalues:
         worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
@@ -99,12 +99,7 @@ def _reaching(task: Task, mode: Array) -> str:
 
 
 def joined(names: Sequence[str], by: str = "and") -> str:
-    """Return names with commas, and a word before the last one.
-
-    Example:
-        >>> joined(["a", "b", "c"]), joined(["a"])
-        ('a, b and c', 'a')
-    """
+    """Return names with commas, and a word before the last one."""
     *some, last = names
     return f"{', '.join(some)} {by} {last}" if some else last
 
@@ -123,35 +118,25 @@ def too_large(task: Task, rate: float, bound: float, norm: float) -> Undecided:
     """Return the refusal of a bound on the gain that the smallest gain found, of this norm, is above."""
     at_rate = f" at a rate of {rate:g} 1/s" if rate else ""
     return Undecided(
-        Problem(
-            message=f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
-            f"the smallest that was found has {norm:.4g}",
-            subject=(task.role.part, ProblemPart.BOUND),
-            hint="allow a larger gain or a slower rate",
-        )
+        f"{task.role.claim}{at_rate}: no gain with a norm of at most {bound:g} was found; "
+        f"the smallest that was found has {norm:.4g}",
+        subject=(task.role.part, ProblemPart.BOUND),
+        hint="allow a larger gain or a slower rate",
     )
 
 
 def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
     """Return the refusal to look for a largest rate, where even this one (1/s) is reached."""
     return InvalidSpec(
-        Problem(
-            message=f"{task.role.claim}: no largest rate was found: "
-            f"even {rate:.4g} 1/s can be reached, with ever larger gains",
-            subject=(task.role.part, ProblemPart.RATE),
-            hint="give a bound of the gain beside it, or the rate that is wanted",
-            remedy=Remedy(Way.GAIN_BOUND),
-        )
+        f"{task.role.claim}: no largest rate was found: even {rate:.4g} 1/s can be reached, with ever larger gains",
+        subject=(task.role.part, ProblemPart.RATE),
+        hint="give a bound of the gain beside it, or the rate that is wanted",
+        remedy=Remedy(Way.GAIN_BOUND),
     )
 
 
 def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], most: int | None = None) -> str:
-    """Name the cells in conflict, or at most so many of them.
-
-    Example:
-        >>> conflict_text(Refutation(Z={0: ((1,),), 2: ((1,),)}, eigenvalues={}), ["gap", "middle", "upper"])
-        "cells 'gap' and 'upper' conflict"
-    """
+    """Name the cells in conflict, or at most so many of them."""
     names = [f"'{cells[i]}'" for i in refutation.Z]
     if most is not None and len(names) > most + 1:
         return f"cells {listed(names, most)} conflict"
@@ -159,11 +144,6 @@ def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], mo
 
 
 def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:
-    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many.
-
-    Example:
-        >>> eigenvalue_text(np.array([1.752]), ["gap"])
-        "largest real part of the eigenvalues: +1.752 in cell 'gap'"
-    """
+    """Say the largest real part of the eigenvalues of each cell, the worst first, or of the worst so many."""
     parts = [f"{number_text(abscissa[i], '+.4g')} in cell '{cells[i]}'" for i in np.argsort(-abscissa, kind="stable")]
     return "largest real part of the eigenvalues: " + listed(parts, most)

@@ -41,19 +41,12 @@ Proved = tuple[Array, Certificate]  # K and the proof of its best rate
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """The gains of Theorem 2.
+    """The gains of Theorem 2."""
 
-    Attributes:
-        K: Controller gain (m, n): u = K (x̂ − x_d) + u_ff.
-        L: Observer gain (n, q): + L (ŷ − y).
-        controller: P_c with sym((A_i + B K) P_c) ≺ 0 for all cells: (8); of a given gain it may be a polynomial.
-        observer: P_o with sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9); likewise.
-    """
-
-    K: Array
-    L: Array
-    controller: Found
-    observer: Found
+    K: Array  # controller gain (m, n): u = K (x̂ − x_d) + u_ff
+    L: Array  # observer gain (n, q): + L (ŷ − y)
+    controller: Found  # P_c with sym((A_i + B K) P_c) ≺ 0 for all cells: (8); of a given gain it may be a polynomial
+    observer: Found  # P_o with sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9); likewise
 
     @property
     def exact(self) -> tuple[BallMatrix, BallMatrix]:
@@ -72,16 +65,8 @@ def synthesize(
 ) -> Gains:
     """Find K and L by Theorem 2, or prove the ones that are given.
 
-    Raises:
-        Infeasible: If (8) or (9) is proved to have no solution, or a given gain to be none.
-        Undecided: If neither is proved, or no gain within the bound was found.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> plant = load_spec("specs/two_mass_backlash.yaml").problem.plant
-        >>> design = synthesize(plant, controller=Smallest(rate=0.1))
-        >>> design.controller.rate >= 0.1, bool(np.linalg.norm(design.K, 2) < 0.86)
-        (True, True)
+    Raises Infeasible if (8) or (9) is proved to have no solution, or a given gain to be none; Undecided if neither is
+    proved, or no gain within the bound was found.
     """
     sizes = sizes or Sizes.of(plant)
     K, P_c = gain(Task.of(plant, CONTROLLER, sizes=sizes), controller, within)
@@ -102,19 +87,8 @@ def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None
     Where inputs are to keep within bounds, a gain of least cost that does not is replaced by the one whose worst cost
     from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
     one without bounds: from which errors it keeps them is said by `claims.limits`. Other goals say themselves what the
-    gain is to be.
-
-    Raises:
-        Infeasible: If no gain exists, proved.
-        InvalidSpec: If the largest rate is asked where every rate can be reached.
-        Undecided: If no gain with a proof is found otherwise.
-
-    Example: a double integrator.
-
-        >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
-        >>> K, certificate = gain(Task(A=A, B=B, cells=["all"]))
-        >>> K.round(3).tolist(), certificate.rate > 0.8
-        ([[-1.0, -1.732]], True)
+    gain is to be. Raises Infeasible if no gain exists, proved; InvalidSpec if the largest rate is asked where every
+    rate can be reached; Undecided if no gain with a proof is found otherwise.
     """
     search = Search(task)
     match goal:

@@ -20,25 +20,15 @@ _SHARES = (1.0, 0.1, 1e-2, 1e-3)  # of the rate that floating point shows, tried
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """Find K with sym((A_i + B K) P) ≺ 0 in every cell: (8), or (9) transposed.
+    """Find K with sym((A_i + B K) P) ≺ 0 in every cell: (8), or (9) transposed."""
 
-    Attributes:
-        A: (l, n, n).
-        B: (n, m).
-        exact: A_i and B in the numbers that proofs are about; None for the decimals that A and B print as.
-        role: Which of the two it is.
-        cells: Names of the l cells.
-        states: Names of the states of the plant, the first of the n.
-        sizes: Those of states and inputs; of the transposed plant for (9). Those that balance A and B by default.
-    """
-
-    A: Array
-    B: Array
-    exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None
-    role: Role = CONTROLLER
-    cells: Sequence[str]
-    states: Sequence[str] = ()
-    sizes: Sizes | None = None
+    A: Array  # (l, n, n)
+    B: Array  # (n, m)
+    exact: tuple[Sequence[BallMatrix], BallMatrix] | None = None  # for proofs; None: A and B as they print
+    role: Role = CONTROLLER  # which of the two it is
+    cells: Sequence[str]  # names of the l cells
+    states: Sequence[str] = ()  # names of the states of the plant, the first of the n
+    sizes: Sizes | None = None  # of states and inputs, for (9) of the transposed plant; None: what balances it
 
     @classmethod
     def of(cls, plant: PWASystem, role: Role, *, sizes: Sizes | None = None) -> "Task":
@@ -66,14 +56,7 @@ class Task:
         return 1.0 if self.role is CONTROLLER else self.scale.speed
 
     def norm(self, K: Array) -> float:
-        """Return how large a gain (m, n) is: ‖E⁻¹ K S‖ with the sizes S and E; of L ‖S⁻¹ L E‖ in 1/s.
-
-        Example:
-            >>> sizes = Sizes(state=np.array([0.1, 1.0]), input=np.array([50.0]), output=np.ones(1), speed=1.0)
-            >>> task = Task(A=np.zeros((1, 2, 2)), B=np.ones((2, 1)), cells=["all"], sizes=sizes)
-            >>> task.norm(np.array([[1500.0, 200.0]]))
-            5.0
-        """
+        """Return how large a gain (m, n) is: ‖E⁻¹ K S‖ with the sizes S and E; of L ‖S⁻¹ L E‖ in 1/s."""
         return float(np.linalg.norm(self.scale.gain(K), 2)) * self.gain_unit
 
     @cached_property

@@ -22,24 +22,16 @@ _MOST_DOUBLINGS = 60  # of a fraction of the fastest time constant: no plant has
 
 @dataclass(frozen=True, kw_only=True)
 class NoncausalTrajectory:
-    """What is known of a bounded η(t) that was worked out beforehand.
+    """What is known of a bounded η(t) that was worked out beforehand."""
 
-    Attributes:
-        names: What each η is.
-        residual: Above |η' − (15)| of what is played back at all times, for each η, in its unit per second.
-        left: η' − (15) itself over time, one signal per η.
-        terms: The largest sum of the sizes of the terms of (15) at the starts of polynomials, likewise.
-        times, jumps: When, in s, and by how much each η jumps from one polynomial to the next, (K,) and (K, p).
-        lead: How long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way;
-            None where the reference does not begin at rest.
-    """
-
-    names: tuple[str, ...]
-    residual: Array
-    left: Exosystem
-    terms: Array
-    times: Array
-    jumps: Array
+    names: tuple[str, ...]  # what each η is
+    residual: Array  # above |η' − (15)| of what is played back at all times, for each η, in its unit per second
+    left: Exosystem  # η' − (15) itself over time, one signal per η
+    terms: Array  # the largest sum of the sizes of the terms of (15) at the starts of polynomials, likewise
+    times: Array  # when, in s, η jumps from one polynomial to the next, (K,)
+    jumps: Array  # by how much each does, (K, p)
+    # how long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way; None where the
+    # reference does not begin at rest
     lead: float | None
 
     def measured(self, each: Array, rate: float) -> float:
@@ -62,40 +54,24 @@ class DesiredTrajectory:
 
     In the cell of x_d:  η̂' = rate s,  x_d = x_d s,  u_ff = u_ff s. x_d is continuous; where a last derivative of the
     output is piecewise affine (see `NormalForm`), its rows depend on the cell, and u_ff jumps from cell to cell.
-
-    Attributes:
-        exosystem: Where w comes from.
-        names: What each η̂ is.
-        to_eta, eta_offset: η = to_eta x + eta_offset is the plant's part that η̂ is for, (p, n) and (p,).
-        rate: (l, p, S) where S = p + len(w) + 1.
-        x_d: (l, n, S).
-        u_ff: (l, m, S).
-        guards: Rows g with g s = 0 where a cell ends, (k, S).
-        signs: Side of each of these that a cell is on, 0 where that does not bound it, (l, k).
-        turns: s' = turns s that x_d is made for where s turns otherwise, by the residual of what is played back,
-            (l, S, S).
-        eta0: η̂(0) where it is fixed by the trajectory, else None.
-        preview: What is known of the η that x_d is made of, where it was worked out beforehand.
-        until: Up to when, in s, (3) was decided for x_d in closed form; None: for all times.
-        bounded: Whether x_d is proved to stay bounded.
-        growth: How x_d is seen to grow without bound, or to leave the periodic solution that it was to be, where it is.
     """
 
-    exosystem: Exosystem
-    names: tuple[str, ...]
-    to_eta: Array
-    eta_offset: Array
-    rate: Array
-    x_d: Array
-    u_ff: Array
-    guards: Array
-    signs: IntArray
+    exosystem: Exosystem  # where w comes from
+    names: tuple[str, ...]  # what each η̂ is
+    to_eta: Array  # η = to_eta x + eta_offset is the plant's part that η̂ is for, (p, n)
+    eta_offset: Array  # (p,)
+    rate: Array  # (l, p, S) where S = p + len(w) + 1
+    x_d: Array  # (l, n, S)
+    u_ff: Array  # (l, m, S)
+    guards: Array  # rows g with g s = 0 where a cell ends, (k, S)
+    signs: IntArray  # side of each of these that a cell is on, 0 where that does not bound it, (l, k)
+    # s' = turns s that x_d is made for where s turns otherwise, by the residual of what is played back, (l, S, S)
     turns: Array | None = None
-    eta0: Array | None = None
-    preview: NoncausalTrajectory | None = None
-    until: float | None = None
-    bounded: bool = True
-    growth: Problem | None = None
+    eta0: Array | None = None  # η̂(0) where it is fixed by the trajectory, else None
+    preview: NoncausalTrajectory | None = None  # of the η that x_d is made of, if worked out beforehand
+    until: float | None = None  # up to when, in s, (3) was decided for x_d in closed form; None: for all times
+    bounded: bool = True  # whether x_d is proved to stay bounded
+    growth: Problem | None = None  # how x_d is seen to grow without bound, or to leave its periodic solution
 
     def state(self, s: Array) -> Array:
         """Return x_d (n,) for s = (η̂, w, 1), (S,)."""
@@ -174,14 +150,12 @@ def check_timing(
         return
     shortest = None if smooth is None else smooth[0] * (worst / ALLOWED) ** (1 / smooth[1])
     raise InvalidSpec(
-        Problem(
-            message=f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
-            f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
-            f"up to {ALLOWED:g} is taken",
-            subject=subject,
-            hint="round its corners over a longer time",
-            remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),
-        )
+        f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
+        f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
+        f"up to {ALLOWED:g} is taken",
+        subject=subject,
+        hint="round its corners over a longer time",
+        remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),
     )
 
 

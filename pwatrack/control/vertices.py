@@ -9,12 +9,7 @@ from pwatrack.rational import Rational, fraction_of, identity, stacked
 
 
 def outermost(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
-    """Return different matrices, without those between two others, exactly: the hull stays what it is.
-
-    Example:
-        >>> [X.texts for X in outermost([BallMatrix.of([[v, v * v * 0 + 1]]) for v in (1, 2, 2, 3)])]
-        [[['1', '1']], [['3', '1']]]
-    """
+    """Return different matrices, without those between two others, exactly: the hull stays what it is."""
     found = different(matrices)
     if any(X.radius is not None for X in found):
         return found

@@ -18,21 +18,13 @@ Kind = Literal["disturbance", "noise", "load", "start", "uncertain"]
 
 @dataclass(frozen=True, kw_only=True)
 class Words:
-    """What a problem calls its signals, and what it asks: enough to say what was proved of it.
+    """What a problem calls its signals, and what it asks: enough to say what was proved of it."""
 
-    Attributes:
-        plant: As it was described.
-        units: Unit of each signal that has one.
-        sizes: Signals that were given a size.
-        conditions: What is not as the theorems assume in a simulation.
-        goals: What each gain is to achieve.
-    """
-
-    plant: PWASystem
-    units: Mapping[str, str]
-    sizes: Collection[str]
-    conditions: Conditions
-    goals: Mapping[Role, Goal]
+    plant: PWASystem  # as it was described
+    units: Mapping[str, str]  # unit of each signal that has one
+    sizes: Collection[str]  # signals that were given a size
+    conditions: Conditions  # what is not as the theorems assume in a simulation
+    goals: Mapping[Role, Goal]  # what each gain is to achieve
 
     def signal(self, form: Form) -> tuple[str, str]:
         """Return a signal that is bounded, as text, and its unit."""
@@ -83,12 +75,7 @@ class Words:
 
 
 def all_cells(count: int) -> str:
-    """Return all cells of a plant in words.
-
-    Example:
-        >>> all_cells(1), all_cells(3)
-        ('the one cell', 'all 3 cells')
-    """
+    """Return all cells of a plant in words."""
     return "the one cell" if count == 1 else f"all {count} cells"
 
 

@@ -110,7 +110,6 @@ def _bytes(source: Source) -> tuple[int, int]:
 
 
 def _operations(found: Step) -> tuple[int, int, int]:
-    """Return the most products and quotients, sums, and comparisons of floats in one step."""
     reals = {"y", "u", "given", *(name for name, (kind, _) in found.constants.items() if kind == "real")}
     counts = most(found.body, reals | {v.name for v in (*found.kept, *found.own) if v.kind == "real"})
     return counts["*"] + counts["/"], counts["+"] + counts["-"], counts["<"]
@@ -121,7 +120,6 @@ def _types(source: Source) -> dict[Kind, str]:
 
 
 def _state(found: Step) -> tuple[Variable, ...]:
-    """Return the fields of the state."""
     return (*found.kept, Variable("ready", "flag", what="set by init"))
 
 
@@ -181,17 +179,11 @@ def _shape(values: NDArray[Any]) -> str:
 
 
 def _advice(source: Source, vector: Vector) -> dict[str, object]:
-    """Return what the page and the replay say of this controller."""
     plant, program, (state, constants) = source.file.plant, source.program, _bytes(source)
     proved = (
         "It is NOT PROVED: " + "; ".join(source.unproved) + "."
         if source.unproved
-        else " ".join(
-            [
-                "K and L of its design are proved in continuous time.",
-                *source.claims,
-            ]
-        )
+        else " ".join(["K and L of its design are proved in continuous time.", *source.claims])
     )
     failed = f"Its run FAILED: {'; '.join(source.file.failed)}. " if source.file.failed else ""
     reference = "The reference is made inside, from the first step on; pass NULL for it."

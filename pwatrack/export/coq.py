@@ -10,12 +10,13 @@ from fractions import Fraction
 from importlib.resources import files
 from itertools import chain
 from math import gcd, lcm
-from textwrap import wrap
+from textwrap import fill
 from typing import Any
 
 import flint
 
 from pwatrack.errors import InvalidSpec
+from pwatrack.export.source import template
 from pwatrack.lmi.audit.elements import Elements
 from pwatrack.lmi.audit.form import normal_form
 from pwatrack.lmi.audit.matrices import Matrix, product
@@ -34,7 +35,8 @@ _TYPES = {  # of names that are not matrices
     "cells": "list (list (row * BigZ.t)%type)",
     "d": "BigZ.t",
 }
-_DECIDED = "Proof. vm_cast_no_check (eq_refl true). Qed."
+_APART = "(* The observer runs all cells and the gain is of merged ones: no theorem here joins the two. *)\n"
+_UNPROVED = "\n(* Of (17) nothing: there are no internal states, or it is not by a P > 0 that it is proved. *)\n"
 
 Cell = list[tuple[list[Fraction], Fraction]]  # row x + constant >= 0, for each
 
@@ -42,18 +44,14 @@ Cell = list[tuple[list[Fraction], Fraction]]  # row x + constant >= 0, for each
 def development(content: Any, name: str) -> dict[str, str]:
     """Return the files of a development that proves what a certificate says of its gains.
 
-    Args:
-        content: A certificate, as `parsed` reads it; that its proofs hold is for Coq to find out.
-        name: What the theorem is called.
-
-    Raises:
-        InvalidSpec: If there is nothing that the theory speaks of: a refusal, a proof by a polynomial, too many cells.
+    The content is a certificate, as `parsed` reads it; that its proofs hold is for Coq to find out. The theorem has the
+    name. Raises InvalidSpec where the theory speaks of nothing: a refusal, a proof by a polynomial, too many cells.
     """
     theory = {f"{part}.v": files("pwatrack.export").joinpath(f"theory/{part}.v").read_text() for part in THEORY}
     order = " ".join(f"{part}.v" for part in (*THEORY, RUN))
     check = f".PHONY: check\ncheck:\n\tset -e; for file in {order}; do coqc $$file; done\n"
     make = f"# Every file has to pass. The last prints what its theorems rest on.\n{check}"
-    return theory | {f"{RUN}.v": "\n".join(_Run(content, name).lines()) + "\n", "Makefile": make}
+    return theory | {f"{RUN}.v": _Run(content, name).text(), "Makefile": make}
 
 
 class _Run:
@@ -90,94 +88,41 @@ class _Run:
             *(v.denominator for v in _flat([*(value for _, value in self.numbers.values()), *self.rates.values()]))
         )
 
-    def lines(self) -> Iterator[str]:
-        """Yield the lines of the file."""
-        centres = at_centres(self.content)
-        yield f"(* {self.name}: the gains of a certificate for the spec with SHA-256"
-        yield f"   {self.spec}{' with parameters replaced' * bool(self.content['set'])}."
-        yield "   Its numbers stand here over the denominator D, exactly as they are written there."
-        if centres:
-            yield "   The plant is the one at the centres of the balls that its numbers lie in: of the others there"
-            yield "   nothing is proved here ('pwatrack verify' does that)."
-        yield f"   {', '.join(f'{part}.v' for part in THEORY)} are compiled before, in this order. *)"
-        yield "From Coq Require Import Reals List."
-        yield "From Bignums Require Import BigZ."
-        yield f"Require Import {' '.join(THEORY)}."
-        yield "Import ListNotations."
-        yield "Open Scope bigZ_scope."
-        yield "Open Scope list_scope.  (* where [a] is a list *)"
-        yield ""
-        yield f"Definition D := {self.D}."
-        for symbol, (meaning, value) in self.numbers.items():
-            yield f"(* {meaning} *)"
-            yield from _definition(symbol, _scaled(value, self.D))
-        yield from self._lemmas()
-        yield "\nOpen Scope R_scope.\n"
-        names = ["controller", "observer"]
-        if self.apart:
-            yield "(* The observer runs all cells and the gain is of merged ones: no theorem here joins the two. *)"
-        else:
-            yield from self._tracks()
-            names = [f"{self.name}_tracks"]
-        if "generator" in self.rates:
-            yield from self._generator()
-            names.append(f"{self.name}_generator")
-        elif self.content["generator"] is not None:
-            yield "\n(* Of (17) nothing: there are no internal states, or it is not by a P > 0 that it is proved. *)"
-        yield ""
-        yield f"Definition all := ({', '.join(names)})."
-        yield "Print Assumptions all."
-
-    def _lemmas(self) -> Iterator[str]:
-        """Yield the forms, and what the kernel computes of them."""
-        P, n, N = _form(self.proofs["controller"]), self.n, self.N
+    def text(self) -> str:
+        """Return the file."""
+        P, generator = _form(self.proofs["controller"]), self.proofs["generator"]
         W, d = inverse(P)
-        yield "\n(* (8) by P, with d times its inverse, at the rate alpha / D *)"
-        for symbol, value in (("P", P), ("W", W), ("d", d)):
-            yield from _definition(symbol, value)
-        yield f"Definition alpha := {self.rates['controller'] * self.D}."
-        yield f"Lemma controller : controller_proved {n} D alpha A B K P W d = true.\n{_DECIDED}"
-        yield "\n(* (9) by Q, at the rate beta / D *)"
-        yield from _definition("Q", _form(self.proofs["observer"]))
-        yield f"Definition beta := {self.rates['observer'] * self.D}."
-        yield f"Lemma observer : observer_proved {N} D beta {'A_seen' if self.apart else 'A'} C L Q = true.\n{_DECIDED}"
-        if "generator" in self.rates:
-            r = len(self.numbers["A_eta"][1][0])
-            yield "\n(* (17) by P_eta, at the rate gamma / D *)"
-            yield from _definition("P_eta", _form(self.proofs["generator"]))
-            yield f"Definition gamma := {self.rates['generator'] * self.D}."
-            yield f"Lemma generator : observer_proved {r} D gamma A_eta [] [] P_eta = true.\n{_DECIDED}"
-
-    def _tracks(self) -> Iterator[str]:
-        n, N = self.n, self.N
-        of = " of the plant with merged cells" * self.merged
-        yield f"(* For the f that is A_i x + b_i in each cell{of}, and from"
-        yield "   every start: x - x_d and x_hat - x go to 0, at least as fast as e^(-min(alpha, beta) t / D);"
-        yield "   where plant and observer are disturbed, or x_d is off (3), as close to 0 as that is small. *)"
-        yield f"Theorem {self.name}_tracks : exists c g, forall f x x_hat x_d u_ff disturbance noise off jumps most,"
-        yield f"  field {N} (length A) (polyhedra D cells) (slopes D A) (offsets D b) f ->"
-        yield f"  closed_loop {n} {N} (length K) (length C) (over D B) (over D K) (over D C) (over D L) (over D G)"
-        yield "    f x x_hat x_d u_ff disturbance noise off jumps ->"
-        yield "  (forall t, 0 <= t ->"
-        yield f"    dot {N} (disturbance t) (disturbance t) + dot {N} (noise t) (noise t)"
-        yield f"      + dot {n} (off t) (off t) <= most) ->"
-        yield "  forall t, 0 <= t ->"
-        yield f"    errors {n} {N} x x_hat x_d t"
-        yield "      <= c * exp (- (2 * Rmin (ratio alpha D) (ratio beta D)) * t)"
-        yield f"        * errors {n} {N} x x_hat x_d 0 + g * most."
-        yield "Proof."
-        yield f"  exact (tracks {n} {N} D A b cells B K C L G alpha P W d beta Q eq_refl controller observer)."
-        yield "Qed."
-
-    def _generator(self) -> Iterator[str]:
-        r = len(self.numbers["A_eta"][1][0])
-        yield "\n(* Any two solutions of the generator for one reference and the same loads approach each other. *)"
-        yield f"Theorem {self.name}_generator : exists c, forall cells b (f : R -> vec -> vec) x y jumps,"
-        yield f"  (forall t, field {r} (length A_eta) (cells t) (slopes D A_eta) (b t) (f t)) ->"
-        yield f"  locally_finite jumps -> solves {r} f jumps x -> solves {r} f jumps y ->"
-        yield f"  forall t, 0 <= t -> dot {r} (minus (x t) (y t)) (minus (x t) (y t))"
-        yield f"    <= c * exp (- (2 * ratio gamma D) * t) * dot {r} (minus (x 0) (y 0)) (minus (x 0) (y 0))."
-        yield f"Proof. exact (generator_converges {r} D A_eta gamma P_eta generator). Qed."
+        of = {
+            "name": self.name,
+            "spec": self.spec,
+            "replaced": " with parameters replaced" * bool(self.content["set"]),
+            "centres": template("coq_centres.v") if at_centres(self.content) else "",
+            "files": ", ".join(f"{part}.v" for part in THEORY),
+            "theory": " ".join(THEORY),
+            "D": self.D,
+            "numbers": "\n".join(
+                f"(* {meaning} *)\n{_definition(symbol, _scaled(value, self.D))}"
+                for symbol, (meaning, value) in self.numbers.items()
+            ),
+            "P": "\n".join(_definition(symbol, value) for symbol, value in (("P", P), ("W", W), ("d", d))),
+            "Q": _definition("Q", _form(self.proofs["observer"])),
+            **{role: rate * self.D for role, rate in self.rates.items()},
+            "n": self.n,
+            "N": self.N,
+            "seen": "A_seen" if self.apart else "A",
+            "merged": " of the plant with merged cells" * self.merged,
+            "converges": "",
+            "forgets": "",
+        }
+        theorems = ["controller", "observer"] if self.apart else [f"{self.name}_tracks"]
+        tracks = _APART if self.apart else template("coq_tracks.v", **of)
+        if generator is not None:
+            of |= {"r": len(self.numbers["A_eta"][1][0]), "P_eta": _definition("P_eta", _form(generator))}
+            of |= {part: template(f"coq_{part}.v", **of) for part in ("converges", "forgets")}
+            theorems.append(f"{self.name}_generator")
+        elif self.content["generator"] is not None:
+            of["forgets"] = _UNPROVED
+        return template("coq_run.v", **of, tracks=tracks, theorems=", ".join(theorems))
 
 
 def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:
@@ -189,7 +134,6 @@ def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:
 
 
 def _numbers(plant: AuditedPlant, content: Any, shift: Any) -> dict[str, tuple[str, Any]]:
-    """Return what is written of every run, by its name, with what it is."""
     last, loads = -plant.count, plant.loads[1][0] if plant.loads is not None else []
     L = matrix(content["L"])
     return {
@@ -260,10 +204,9 @@ def inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
     return _scaled(entries, d), d
 
 
-def _definition(symbol: str, value: Any) -> Iterator[str]:
-    """Yield the lines of a definition."""
+def _definition(symbol: str, value: Any) -> str:
     text = f"Definition {symbol} : {_TYPES.get(symbol, 'matrix')} := {literal(value)}."
-    yield from wrap(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    return fill(text, _WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def literal(value: Any) -> str:
@@ -277,7 +220,6 @@ def literal(value: Any) -> str:
 
 
 def _scaled(value: Any, D: int) -> Any:
-    """Return numbers times D, which are whole then."""
     return type(value)(_scaled(v, D) for v in value) if isinstance(value, list | tuple) else int(value * D)
 
 

@@ -54,58 +54,37 @@ _CELSIUS = ("degC", "°C")  # alone, else only differences are meant
 _PART = re.compile(r"([*·/ ]+|^)([^\W\d_]+|[%°Ω]\w*|1)(?:\^?(-?\d+))?(?=[*·/ ]|$)")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ModelVariable:
-    """A variable of a model; its number is its place in the list, the real ones come first.
+    """A variable of a model; its number is its place in the list, the real ones come first."""
 
-    Attributes:
-        name: Of FMI's structured names.
-        causality: "independent", "input", "output", "local" or "parameter".
-        description: In words.
-        unit: As a text, "" for none.
-        start: Of inputs and parameters.
-        whole: Whether it is a whole number.
-        held: Whether it changes at steps only.
-    """
-
-    name: str
-    causality: str
-    description: str
-    unit: str = ""
-    start: float | None = None
-    whole: bool = False
-    held: bool = False
+    name: str  # of FMI's structured names
+    causality: str  # "independent", "input", "output", "local" or "parameter"
+    description: str  # in words
+    unit: str = ""  # as a text, "" for none
+    start: float | None = None  # of inputs and parameters
+    whole: bool = False  # whether it is a whole number
+    held: bool = False  # whether it changes at steps only
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What an FMU is made of.
+    """What an FMU is made of."""
 
-    Attributes:
-        identifier: Its name in C.
-        title, description: Of it, for people.
-        variables: All of them, in order.
-        step: The only length of a step in s, or whole multiples of it; None for any length.
-        preferred: A length of steps, and how long it may run, in s.
-        sources: C files and headers by name, without those of FMI.
-        resources: Other files by name.
-    """
-
-    identifier: str
-    title: str
+    identifier: str  # its name in C
+    title: str  # for people, as the next one
     description: str
-    variables: Sequence[ModelVariable]
-    step: float | None
-    preferred: tuple[float, float]
-    sources: Mapping[str, str]
-    resources: Mapping[str, bytes]
+    variables: Sequence[ModelVariable]  # all of them, in order
+    step: float | None  # the only length of a step in s, or whole multiples of it; None for any length
+    preferred: tuple[float, float]  # a length of steps, and how long it may run, in s
+    sources: Mapping[str, str]  # C files and headers by name, without those of FMI
+    resources: Mapping[str, bytes]  # other files by name
 
 
 def packed(model: Model, version: Version, compiler: str | None) -> dict[str, bytes]:
     """Return all files of an FMU by their paths; without a compiler these are its sources only.
 
-    Raises:
-        RuntimeError: If the compiler refuses the sources.
+    Raises RuntimeError if the compiler refuses the sources.
     """
     main = f"fmi{version}.c"
     sources = {main: template(main), "instance.h": template("instance.h"), **model.sources}
@@ -137,8 +116,7 @@ def write_fmu(found: Mapping[str, bytes], path: Path) -> None:
 def compiled(sources: Mapping[str, str], compiler: str, options: Sequence[str] = ()) -> bytes:
     """Return a shared library of C files and headers.
 
-    Raises:
-        RuntimeError: With the first line of what the compiler says, if it refuses them.
+    Raises RuntimeError with the first line of what the compiler says, if it refuses them.
     """
     with TemporaryDirectory() as folder:
         for name, text in sources.items():
@@ -160,7 +138,6 @@ def c_compiler() -> str | None:
 
 
 def _description(model: Model, version: Version, files: Sequence[str], token: str) -> bytes:
-    """Return modelDescription.xml."""
     root = ET.Element(
         "fmiModelDescription",
         {
@@ -188,7 +165,6 @@ def _description(model: Model, version: Version, files: Sequence[str], token: st
 
 
 def _build_description(model: Model, files: Sequence[str]) -> bytes:
-    """Return sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.identifier)
     options = "-std=c99 -O2 -ffp-contract=off"

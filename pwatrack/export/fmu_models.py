@@ -27,7 +27,7 @@ _MOST_NUMBERS = 2**19  # of A_i and b_i: 4 MB
 _MOST_TERMS = 24  # of a step
 _LONGEST = 2.0**20  # s
 _FEW_CELLS = 32  # that a description names
-_TIME = ModelVariable(name="simulation.time", causality="independent", description="time", unit="s")
+_TIME = ModelVariable("simulation.time", "independent", "time", "s")
 
 
 def controller_model(c: Source, duration: float, resources: Mapping[str, bytes]) -> Model:
@@ -64,7 +64,6 @@ def controller_model(c: Source, duration: float, resources: Mapping[str, bytes])
 
 
 def _reals(variables: Sequence[ModelVariable]) -> dict[str, object]:
-    """Return what a template says of the variables that are no whole numbers."""
     reals = [variable for variable in variables if not variable.whole]
     causalities = [variable.causality for variable in reals]
     return {
@@ -92,7 +91,7 @@ def _controller_variables(c: Source) -> list[ModelVariable]:
 
     def of_kind(causality: str, name: str, text: str, unit: str = "", value: float | None = None) -> ModelVariable:
         held = causality in ("output", "local")
-        return ModelVariable(name=name, causality=causality, description=text, unit=unit, start=value, held=held)
+        return ModelVariable(name, causality, text, unit, value, held=held)
 
     def unit_of(name: str) -> str:
         return plant.units.get(name, "")
@@ -120,10 +119,7 @@ def _controller_variables(c: Source) -> list[ModelVariable]:
             of_kind("parameter", f"start.eta{k + 1}", f"what the generator starts with: {name}", "", value)
             for k, (name, value) in enumerate(zip(eta, eta_hat, strict=True))
         ),
-        *(
-            ModelVariable(name=f"diagnosis.{name}", causality="output", description=text, whole=True)
-            for name, text in told.items()
-        ),
+        *(ModelVariable(f"diagnosis.{name}", "output", text, whole=True) for name, text in told.items()),
     ]
 
 
@@ -140,8 +136,7 @@ def _reference(name: str) -> str:
 def plant_model(spec: Spec, name: str) -> Model:
     """Return the model of the plant that a spec simulates, with a prefix of its C names.
 
-    Raises:
-        InvalidSpec: If it has too many cells.
+    Raises InvalidSpec if it has too many cells.
     """
     plant, scenario = spec.scenario.conditions.plant or spec.problem.plant, spec.scenario
     numbers = plant.A.size + plant.b.size
@@ -189,7 +184,7 @@ def _inputs(spec: Spec, plant: PWASystem) -> tuple[list[ModelVariable], Array]:
 
     def add(name: str, text: str, unit: str, column: Array) -> None:
         text = f"{text}, held over a step" if text else "held over a step"
-        found.append(ModelVariable(name=name, causality="input", description=text, unit=unit, start=0.0))
+        found.append(ModelVariable(name, "input", text, unit, 0.0))
         columns.append(column)
 
     for k, name in enumerate(plant.inputs):
@@ -219,20 +214,14 @@ def _plant_variables(
         _TIME,
         *inputs,
         *(
-            ModelVariable(name=name, causality="output", description=text, unit=units.get(name, ""))
+            ModelVariable(name, "output", text, units.get(name, ""))
             for name, text in [*words.items(), *((name, "state") for name in plant.states)]
         ),
         *(
-            ModelVariable(
-                name=f"start.{name}",
-                causality="parameter",
-                description=f"{name} at the start",
-                unit=units.get(name, ""),
-                start=value,
-            )
+            ModelVariable(f"start.{name}", "parameter", f"{name} at the start", units.get(name, ""), value)
             for name, value in zip(plant.states, start.tolist(), strict=True)
         ),
-        ModelVariable(name="diagnosis.cell", causality="output", description=f"cell: {cells}", whole=True),
+        ModelVariable("diagnosis.cell", "output", f"cell: {cells}", whole=True),
     ]
 
 

@@ -115,7 +115,6 @@ def mat_file(source: Source, vector: Vector) -> bytes:
 
 
 def _content(value: Any, key: str = "") -> Any:
-    """Return a part of a tree as scipy writes it."""
     if isinstance(value, dict):
         if key in _FREE:
             return np.array(list(value.items()), dtype=object).reshape(-1, 2)

@@ -20,39 +20,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Language:
-    """How a language writes it.
+    """How a language writes it."""
 
-    Attributes:
-        assign: From target and value.
-        loop: From index, first and last number, and body; bodies are indented.
-        once: A loop of one pass, from index, number and body, which is not indented; "" where that is a loop, too.
-        branch, other, otherwise, end: `if` and `elif`, from condition and body; `else`, from its body; what ends it.
-        within: What stands in an `else` that must end an `elif`; "" where none must.
-        truth: A flag as a condition.
-        words: Operators, numbers, True and False, where they are written in another way.
-        remainder: From two whole numbers.
-        name: A variable.
-        element, between: An array and its indices -> an entry; what stands between indices.
-        from_one: Whether indices begin with 1.
-        comment: From its text.
-    """
-
-    assign: str
-    loop: str
-    branch: str
-    other: str
-    otherwise: str
-    end: str
-    within: str = ""
-    truth: str = "{}"
-    words: Mapping[str, str]
-    remainder: str
-    name: Callable[[str], str]
-    element: str
-    between: str = ", "
-    from_one: bool
-    comment: str
-    once: str = ""
+    assign: str  # from target and value
+    loop: str  # from index, first and last number, and body; bodies are indented
+    branch: str  # `if`, from condition and body
+    other: str  # `elif`, likewise
+    otherwise: str  # `else`, from its body
+    end: str  # what ends it
+    within: str = ""  # what stands in an `else` that must end an `elif`; "" where none must
+    truth: str = "{}"  # a flag as a condition
+    words: Mapping[str, str]  # operators, numbers, True and False, where they are written in another way
+    remainder: str  # from two whole numbers
+    name: Callable[[str], str]  # a variable
+    element: str  # from an array and its indices
+    between: str = ", "  # what stands between indices
+    from_one: bool  # whether indices begin with 1
+    comment: str  # from its text
+    once: str = ""  # a loop of one pass, from index, number and body, not indented; "" where it is a loop, too
 
 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
@@ -62,8 +47,7 @@ _COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: 
 def printed(text: str, language: Language) -> str:
     r"""Return lines of the notation in a language.
 
-    Raises:
-        ValueError: If something is no part of the notation.
+    Raises ValueError if something is no part of the notation.
 
     Example:
         >>> from pwatrack.export.structured_text import ST
@@ -87,9 +71,7 @@ def _names(tree: ast.AST) -> set[str]:
 def most(text: str, reals: Set[str]) -> Counter[str]:
     r"""Return how often lines of the notation do each of + - * / with floats at most, and compare them, as "<".
 
-    Args:
-        text: The lines.
-        reals: The names of floats.
+    `reals` are the names of floats.
 
     Example:
         >>> text = "for k in range(0, 3):\n    if u[k] > 0.0:\n        u[k] = 2.0 * u[k - 1]"
@@ -205,19 +187,12 @@ class _Printer:
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """A language that a controller is exported in.
+    """A language that a controller is exported in."""
 
-    Attributes:
-        module: Of this room, where `write` is.
-        help: What is written, in a sentence.
-        example: Arguments of a command that writes it.
-        single: Whether it may be in single floats.
-    """
-
-    module: str
-    help: str
-    example: str
-    single: bool = True
+    module: str  # of this room, where `write` is
+    help: str  # what is written, in a sentence
+    example: str  # arguments of a command that writes it
+    single: bool = True  # whether it may be in single floats
 
     @property
     def write(self) -> Callable[["Source", "Vector", Path], list[str]]:

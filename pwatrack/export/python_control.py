@@ -21,13 +21,8 @@ from pwatrack.simulation.controller_arrays import memory, routine
 def plant_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
     """Return the plant (1): from its inputs, and the loads that are estimated, to what is measured and tracked.
 
-    Args:
-        controller: The design that it is for.
-        name, units: Of the system, of its signals.
-        start: x(0), (n,).
-
-    Raises:
-        InvalidSpec: If python-control is not installed.
+    The name is that of the system, the units are of its signals, and it starts from x(0), (n,). Raises InvalidSpec if
+    python-control is not installed.
     """
     plant, loads = controller.running, controller.plant.loads
     m, A, b, B, H, h = plant.B.shape[1], plant.A, plant.b, plant.B, plant.partition.H, plant.partition.h
@@ -121,14 +116,8 @@ def sampled_system(
     Its state is that of the program, and 1. All 0 is what python-control begins with where no state is given: no
     program is in that state, and the system starts as `params["start"]` says.
 
-    Args:
-        program: What runs, with its reference inside, or given: then that is its input too.
-        x_hat, eta_hat: Where it starts.
-        real: Type of its floats.
-        labels: Its `name`, `inputs` and `outputs`, and the `units` of these.
-
-    Raises:
-        InvalidSpec: If python-control is not installed.
+    The program has its reference inside, or it is given: then that is an input too. `real` is the type of its floats;
+    `labels` are its `name`, `inputs` and `outputs`, and the `units` of these. Raises as `plant_system`.
     """
     table, q, at = routine(program, real), program.sizes["q"], program.places
     first = memory(program, x_hat, eta_hat, real)

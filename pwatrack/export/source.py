@@ -35,36 +35,22 @@ _TAKEN = frozenset(f"{_FILES} {_HEADERS} {_TARGETS}".split())
 
 @dataclass(frozen=True)
 class Vector:
-    """What a controller reads, step by step.
+    """What a controller reads, step by step."""
 
-    Attributes:
-        y: Measured outputs, (steps, q).
-        w: The reference from outside, (steps, s).
-        origin: Where it is from, in a few words.
-    """
-
-    y: Array
-    w: Array
-    origin: str
+    y: Array  # measured outputs, (steps, q)
+    w: Array  # the reference from outside, (steps, s)
+    origin: str  # where it is from, in a few words
 
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """What is written.
+    """What is written."""
 
-    Attributes:
-        file: The controller.
-        name: Prefix of all names.
-        single: Whether in single floats.
-        given: Whether the reference comes from outside.
-        unproved: What is not proved of it, in sentences.
-    """
-
-    file: ControllerFile
-    name: str
-    single: bool
-    given: bool
-    unproved: tuple[str, ...]
+    file: ControllerFile  # the controller
+    name: str  # prefix of all names
+    single: bool  # whether in single floats
+    given: bool  # whether the reference comes from outside
+    unproved: tuple[str, ...]  # what is not proved of it, in sentences
 
     @property
     def real(self) -> Any:

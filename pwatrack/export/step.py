@@ -62,31 +62,20 @@ class Variable:
 
 @dataclass(frozen=True)
 class Step:
-    """A controller that runs once in a sample time.
+    """A controller that runs once in a sample time."""
 
-    Attributes:
-        constants: Arrays and numbers, by name.
-        kept: What it remembers. From its start all of it is 0 that `begin` does not set.
-        own: What it works with.
-        begin: What makes it start anew, in the notation.
-        body: One step, from `y`, and `given` if the reference is from outside; the input is `u`.
-        hold: What puts the input out that is held: `body` ends with it.
-    """
-
-    constants: dict[str, tuple[Kind, NDArray[Any]]]
-    kept: tuple[Variable, ...]
-    own: tuple[Variable, ...]
-    begin: str
-    body: str
-    hold: str
+    constants: dict[str, tuple[Kind, NDArray[Any]]]  # arrays and numbers, by name
+    kept: tuple[Variable, ...]  # what it remembers. From its start all of it is 0 that `begin` does not set.
+    own: tuple[Variable, ...]  # what it works with
+    begin: str  # what makes it start anew, in the notation
+    body: str  # one step, from `y`, and `given` if the reference is from outside; the input is `u`
+    hold: str  # what puts the input out that is held: `body` ends with it
 
 
 def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Step:
     """Return the step of a controller.
 
-    Args:
-        routine: Its program.
-        starts: What x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
+    `starts` has what x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
     """
     at, copies = routine.at, max(len(routine.turn) - 1, 0)
     arrays: tuple[Variable, ...] = (
@@ -180,12 +169,10 @@ def _body(
 
 
 def _loop(index: str, count: int, body: str) -> str:
-    """Return a loop, or nothing where it does not run."""
     return f"for {index} in range(0, {count}):\n{indent(body, '    ')}" if count else ""
 
 
 def _at(first: int, index: str) -> str:
-    """Return an index that begins with a number."""
     return f"{first} + {index}" if first else index
 
 
@@ -273,8 +260,7 @@ class _Worked:
             found += lines
             return result
         left = parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), parts)
-        branches = [self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]
-        found.append(ast.If(left, *branches))
+        found.append(ast.If(left, *[self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]))
         return None
 
     def assign(self, target: ast.expr, value: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> None:

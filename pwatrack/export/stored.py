@@ -27,6 +27,7 @@ _SINGLE = float(np.finfo(np.float32).max)
 _LOOKED = "not proved for switching between cells"
 _CLOSE = 1e-9  # of the largest entry of a table: what two matrix exponentials may differ by
 _SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one controller have in common
+_FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
 _CHOSEN = ("sample_time", "method", "delay", "substeps", "low", "high", "change", "quantum")
 
 
@@ -41,11 +42,8 @@ def content(
 ) -> dict[str, Any]:
     """Return what controller.json holds of `design(spec)`.
 
-    Args:
-        proof: The digest of certificate.json.
-        generator: What generator.json holds.
-        start: `x_hat` (with what it has of loads) and `eta_hat`, where they are known.
-        failed: What its run did not achieve, in sentences.
+    `proof` is the digest of certificate.json, `generator` what generator.json holds; `start` has `x_hat` (with what it
+    has of loads) and `eta_hat`, where they are known; `failed` says what its run did not achieve, in sentences.
     """
     trajectory, conditions = controller.trajectory, spec.scenario.conditions
     found: dict[str, Any] = {
@@ -82,8 +80,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
     follows = inside.follows
     assert follows is not None
     made = {
-        "turn": follows.turn.tolist(),
-        "w0": follows.w0.tolist(),
+        **_lists(follows, "turn", "w0"),
         "pieces": [{"tick": piece.tick, "start": piece.start, "w": piece.w.tolist()} for piece in follows.pieces],
         "end": follows.end,
         "early": follows.early.tolist(),
@@ -94,15 +91,13 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "proved": next((claim.sentence for claim in controller.claims_of(SampledLoop)), _LOOKED),
         "delay": inside.sampling.delay,
         "substeps": inside.substeps,
-        "K": inside.K.tolist(),
-        "M": inside.M.tolist(),
-        "observer": inside.observer.tolist(),
+        **_lists(inside, "K", "M", "observer"),
         "low": _finite(inside.limits[:, 0]),
         "high": _finite(inside.limits[:, 1]),
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
-        "inside": _followed(inside) | made,
-        "outside": _followed(outside) | {"reference": list(outside.reference)},
+        "inside": _lists(inside, *_FOLLOWED) | made,
+        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference)},
     }
 
 
@@ -120,8 +115,7 @@ def read(path: Path) -> ControllerFile:
 def parsed(found: Any, path: Path) -> ControllerFile:
     """Return a controller from what its file holds.
 
-    Raises:
-        InvalidSpec: If it is of another version, has been changed, or is not as its schema says.
+    Raises InvalidSpec if it is of another version, has been changed, or is not as its schema says.
     """
     version = found.get("format") if isinstance(found, dict) else None
     if version != FORMAT:
@@ -146,9 +140,8 @@ def parsed(found: Any, path: Path) -> ControllerFile:
 def runs(known: ControllerFile, *, given: bool = False, single: bool = False) -> SampledController:
     """Return the program of a file that has one, with its reference from outside where it is given.
 
-    Raises:
-        InvalidSpec: If single floats do not hold its numbers.
-        ValueError: If its tables do not fit each other, which those of a file that was read do.
+    Raises InvalidSpec if single floats do not hold its numbers; ValueError if its tables do not fit each other, which
+    those of a file that was read do.
     """
     part, plant = known.program, known.plant
     assert part is not None
@@ -213,7 +206,6 @@ def _follows(inside: Inside, turn: Array) -> Follows:
 
 
 def _check_runs(known: ControllerFile) -> None:
-    """Refuse a file whose program has tables that do not fit each other."""
     inside, _ = (runs(known, given=given) for given in (False, True))
     follows, of = inside.follows, inside.sizes
     assert follows is not None
@@ -249,8 +241,7 @@ def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
             "E": plant.loads.E.floats.tolist(),
             "S": plant.loads.S.floats.tolist(),
             "x_d": added.X.floats.tolist(),
-            "u_ff": added.u_ff.tolist(),
-            "rate": added.rate.tolist(),
+            **_lists(added, "u_ff", "rate"),
         }
     return {
         "states": list(plant.states),
@@ -259,13 +250,9 @@ def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         "tracked": list(plant.tracked_names),
         "units": {name: str(unit) for name, unit in spec.problem.units.items()},
         "cells": list(model.cell_names),
-        "H": model.partition.H.tolist(),
-        "h": model.partition.h.tolist(),
-        "signs": model.partition.signs.tolist(),
-        "A": model.A.tolist(),
-        "b": model.b.tolist(),
-        "B": plant.B.tolist(),
-        "C": plant.C.tolist(),
+        **_lists(model.partition, "H", "h", "signs"),
+        **_lists(model, "A", "b"),
+        **_lists(plant, "B", "C"),
         "tracked_rows": plant.tracked.tolist(),
         "loads": loads,
     }
@@ -275,15 +262,9 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     system = trajectory.exosystem
     return {
         "eta": list(trajectory.names),
-        "rate": trajectory.rate.tolist(),
-        "x_d": trajectory.x_d.tolist(),
-        "u_ff": trajectory.u_ff.tolist(),
-        "guards": trajectory.guards.tolist(),
-        "signs": trajectory.signs.tolist(),
+        **_lists(trajectory, "rate", "x_d", "u_ff", "guards", "signs"),
         "reference": {
-            "S": system.S.tolist(),
-            "Q": system.Q.tolist(),
-            "w0": system.w0.tolist(),
+            **_lists(system, "S", "Q", "w0"),
             "pieces": [{"t": float(r.t), "start": r.where.start, "w": r.w.tolist()} for r in system.resets],
             "period": system.period,
             "end": system.end,
@@ -291,9 +272,8 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     }
 
 
-def _followed(found: SampledController) -> dict[str, Any]:
-    names = ("generator", "x_d", "u_ff", "guards", "sides")
-    return {name: getattr(found, name).tolist() for name in names}
+def _lists(of: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(of, name).tolist() for name in names}
 
 
 def _finite(values: Array) -> list[float | None]:
@@ -303,8 +283,7 @@ def _finite(values: Array) -> list[float | None]:
 def with_gains(spec: Spec, known: ControllerFile) -> Spec:
     """Return a spec that asks for the gains of a stored controller and its sampling, and no others.
 
-    Raises:
-        InvalidSpec: If they have other sizes.
+    Raises InvalidSpec if they have other sizes.
     """
     K, L = np.array(known.K), np.array(known.L)
     plant = spec.problem.plant
@@ -323,8 +302,7 @@ def check_same(
 ) -> tuple[Spec, SampledController | None]:
     """Return a spec that has the gains of a stored controller, with its sample time, and its program.
 
-    Raises:
-        InvalidSpec: If plant, reference or the limits of the program are not those of the spec.
+    Raises InvalidSpec if plant, reference or the limits of the program are not those of the spec.
     """
     again = content(spec, controller, proof=known.proof, generator=None, start=None)
     here = ControllerFile.model_validate(again).model_dump()
@@ -347,7 +325,6 @@ def check_same(
 
 
 def _different(one: Any, other: Any, place: str) -> Iterator[str]:
-    """Yield where two trees differ."""
     if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
         for key in one:
             yield from _different(one[key], other[key], f"{place}.{key}")

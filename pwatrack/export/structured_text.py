@@ -35,23 +35,7 @@ _POWER = 120  # of 2 that a number of an expression has at most: also a REAL hol
 
 # Words of the 2nd and 3rd edition, and what CODESYS, TwinCAT and matiec take besides; of the letters that stand for
 # qualifiers and operators those that such tools refuse as variables.
-_WORDS = """
-ABS ABSTRACT ACOS ACTION ADD ADR AND ANDN AND_THEN ANY ANY_BIT ANY_DATE ANY_INT ANY_NUM ANY_REAL ARRAY ASIN AT ATAN
-ATAN2 BIT BITADR BOOL BY BYTE CAL CALC CALCN CASE CEIL CHAR CLASS CONCAT CONFIGURATION CONSTANT CONTINUE COS CTD CTU
-CTUD DATE DATE_AND_TIME DELETE DINT DIV DO DT DWORD ELSE ELSIF EN END_ACTION END_CASE END_CLASS END_CONFIGURATION
-END_FOR END_FUNCTION END_FUNCTIONBLOCK END_FUNCTION_BLOCK END_IF END_INTERFACE END_METHOD END_NAMESPACE END_PROGRAM
-END_PROPERTY END_REPEAT END_RESOURCE END_STEP END_STRUCT END_TRANSITION END_TYPE END_UNION END_VAR END_WHILE ENO EQ
-EXIT EXP EXPT EXTENDS FALSE FIND FINAL FLOOR FOR FROM FUNCTION FUNCTIONBLOCK FUNCTION_BLOCK F_EDGE F_TRIG GE GOTO GT IF
-IMPLEMENTS INI INITIAL_STEP INSERT INT INTERFACE INTERNAL INTERVAL JMP JMPC JMPCN LD LDATE LDN LDT LE LEFT LEN LIMIT
-LINT LN LOG LREAL LT LTIME LTOD LWORD MAX METHOD MID MIN MOD MOVE MUL MUX NAMESPACE NE NIL NON_RETAIN NOT NULL OF ON
-OR ORN OR_ELSE OVERLAP OVERRIDE PARAMS PERSISTENT POINTER PRIORITY PRIVATE PROGRAM PROPERTY PROTECTED PUBLIC R
-READ_ONLY READ_WRITE REAL REF REFERENCE REF_TO REPEAT REPLACE RESOURCE RET RETAIN RETC RETCN RETURN RIGHT ROL ROR RS
-RTC R_EDGE R_TRIG S SEL SEMA SHL SHR SIN SINGLE SINT SIZEOF SQRT SR ST STEP STN STRING STRUCT SUB SUPER TAN TASK THEN
-THIS TIME TIME_OF_DAY TO TOD TOF TON TP TRANSITION TRUE TRUNC TYPE UDINT UINT ULINT UNION UNTIL USING USINT VAR
-VAR_ACCESS VAR_CONFIG VAR_EXTERNAL VAR_GLOBAL VAR_INPUT VAR_INST VAR_IN_OUT VAR_OUTPUT VAR_STAT VAR_TEMP WCHAR WHILE
-WITH WORD WSTRING XOR XORN
-"""
-KEYWORDS = frozenset(_WORDS.split())
+KEYWORDS = frozenset(template("st_keywords.txt").split())
 FIXED = ("reset", "cell", "cell_d", "status")  # inputs and outputs of a block that are no signals
 _OWN = {"y": "measured", "u": "put_out", "given": "from_outside"}  # arrays of the notation, in a block its own
 
@@ -67,21 +51,14 @@ class Port:
 
 @dataclass(frozen=True)
 class Names:
-    """What all is called.
+    """What all is called."""
 
-    Attributes:
-        block, program: The function block, and a program with one.
-        inputs, outputs: The signals.
-        own: All other variables of the block, by what they are in the notation.
-        instance, fault: What a program has besides.
-    """
-
-    block: str
-    program: str
-    inputs: tuple[Port, ...]
+    block: str  # the function block
+    program: str  # a program with one
+    inputs: tuple[Port, ...]  # signals, as the outputs
     outputs: tuple[Port, ...]
-    own: dict[str, str]
-    instance: str
+    own: dict[str, str]  # all other variables of the block, by what they are in the notation
+    instance: str  # what a program has besides
     fault: str
 
 
@@ -204,9 +181,7 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
 def legal(name: str, taken: set[str]) -> str:
     """Return a name as an identifier that is not taken, and take it: cases are alike, `_` is between other signs.
 
-    Args:
-        name: Any text.
-        taken: What is taken, in capitals; it grows.
+    What is taken, in capitals, grows.
 
     Example:
         >>> taken = set(KEYWORDS)

@@ -17,13 +17,9 @@ def bisected(
 ) -> tuple[float, Found, float]:
     """Return the last number at which something is found, what that is, and the next one at which nothing is.
 
-    Args:
-        best: A number, and what is found there.
-        without: One at which nothing is.
-        at: Looks at a number; it may return one that is nearer to the end than that.
-        near: Share of the first that they may be apart in the end.
-        most: Times that it looks.
-        middle: Where it looks between two; where that is one of them, it ends.
+    `best` is a number with what is found there, `without` one at which nothing is. `at` looks at a number; it may
+    return one that is nearer to the end. It ends where they are apart by the share `near` of the first, after the most
+    looks, or where the middle of two is one of them.
 
     Example: the root of 2.
 

@@ -21,13 +21,6 @@ class Blocks:
     Attributes:
         shapes: (l, N) of each stack.
         size: Number of entries of the vector.
-
-    Example:
-        >>> blocks = Blocks([(2, 3), (1, 1), (1, 3)])
-        >>> blocks.shapes, blocks.size
-        ([(3, 3), (1, 1)], 28)
-        >>> [part.shape for part in blocks.parts(np.zeros(28))]
-        [(2, 3, 3), (1, 1, 1), (1, 3, 3)]
     """
 
     def __init__(self, constraints: Sequence[tuple[int, int]], *, padded: bool = False) -> None:
@@ -82,13 +75,7 @@ class Scaling:
     def of(cls, S: Array, Z: Array) -> "Scaling":
         """Return the scaling of S and Z.
 
-        Raises:
-            numpy.linalg.LinAlgError: If one of the matrices is not positive definite to working precision.
-
-        Example:
-            >>> scaling = Scaling.of(np.array([[[4.0]]]), np.array([[[9.0]]]))
-            >>> scaling.d.tolist(), scaling.E.round(6).tolist()
-            ([[6.0]], [[[1.224745]]])
+        Raises LinAlgError if one of the matrices is not positive definite to working precision.
         """
         L = np.linalg.cholesky(S)
         values, Q = np.linalg.eigh(L.transpose(0, 2, 1) @ Z @ L)

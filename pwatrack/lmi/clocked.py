@@ -32,6 +32,9 @@ _MANY = 16  # vertices, from which on it is asked first whether there is any rat
 _OF_MANY = (0.0, 0.5)  # what is asked then
 
 
+Scaled = tuple[Rational, Sequence[Fraction]]  # a form, and about the roots of its diagonal
+
+
 @dataclass(frozen=True, kw_only=True)
 class Clocked:
     """A switched system with a clock, exact.
@@ -80,7 +83,7 @@ def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedP
         >>> clocked_proof(often, knots=40) is None, clocked_proof(seldom, knots=40) is None
         (True, False)
     """
-    found = _looked_for(system, knots).at(rate)
+    found = looked_for(system, knots).at(rate)
     return None if found is None else proved_forms(system, found.P, rate)
 
 
@@ -93,7 +96,7 @@ def fastest(system: Clocked, *, knots: int) -> ClockedProof | None:
         >>> 1.5 < fastest(half, knots=8).rate < 1.7
         True
     """
-    program = _looked_for(system, knots)
+    program = looked_for(system, knots)
     with np.errstate(all="ignore"):
         if not np.abs(program.over).max() < _GROWS:
             return None
@@ -135,7 +138,8 @@ def proves(system: Clocked, P: Sequence[Packed], rate: float) -> bool:
     for before, after in pairwise(parts):
         assert system.between is not None
         jumps.append((system.between, after[0], before[-1]))
-    if not all(is_positive_definite(_jump(*jump)) for jump in jumps):
+    ends = ((J, (after.P, after.scale), (before.P, before.scale)) for J, after, before in jumps)
+    if not all(is_positive_definite(shrunk(*end)) for end in ends):
         return False
     for part in parts:
         for one, other in pairwise(part):
@@ -147,22 +151,23 @@ def proves(system: Clocked, P: Sequence[Packed], rate: float) -> bool:
     return all(is_positive_definite(P_k.P) for P_k in P[1:])
 
 
-def _jump(J: BallMatrix, first: Packed, last: Packed) -> Rational:
-    """Return what is positive definite where Jᵀ P_0 J ≺ P_N for everything in the ball of J.
+def shrunk(J: BallMatrix, after: Scaled, before: Scaled) -> Rational:
+    """Return what is positive definite where Jᵀ P J ≺ Q, with P after a jump and Q before it, for all in the ball of J.
 
-    That is P_N − Jᵀ P_0 J; where there is a ball [P_N, Jᵀ P_0; P_0 J, P_0], or what is below it.
+    That is Q − Jᵀ P J; where there is a ball [Q, Jᵀ P; P J, P], or what is below it.
     """
-    lower = first.P * J.centre
+    (P, unit), (Q, other) = after, before
+    lower = P * J.centre
     if J.radius is None:
-        return last.P - J.centre.transpose() * lower
-    whole = stacked([beside([last.P, lower.transpose()]), beside([lower, first.P])])
+        return Q - J.centre.transpose() * lower
+    whole = stacked([beside([Q, lower.transpose()]), beside([lower, P])])
     zero = J.radius * 0
-    radius = stacked([beside([zero, zero]), beside([absolute(first.P) * J.radius, zero])])
-    unit = [*last.scale, *first.scale]
-    return whole - unsure(radius, identity(2 * J.radius.nrows()), unit)  # ⪰ ±(E + Eᵀ) for every |E_jk| ≤ radius_jk
+    radius = stacked([beside([zero, zero]), beside([absolute(P) * J.radius, zero])])
+    both = [*other, *unit]
+    return whole - unsure(radius, identity(2 * J.radius.nrows()), both)  # ⪰ ±(E + Eᵀ) for every |E_jk| ≤ radius_jk
 
 
-def _looked_for(system: Clocked, knots: int) -> ClockedForms:
+def looked_for(system: Clocked, knots: int) -> ClockedForms:
     """Return the program that looks for forms in floating point."""
     F, J = (np.array([X.floats for X in matrices]) for matrices in (system.F, system.J))
     R = np.eye(F.shape[1]) if system.between is None else system.between.floats

@@ -14,18 +14,8 @@ from pwatrack.lmi.inequality import Solver
 def semidefinite(cost: Array, rows: Array, sides: Array, order: int, solver: Solver) -> Array | None:
     """Return x that minimises cᵀx where each block h_k − G_k x, a symmetric matrix, is positive semidefinite, or None.
 
-    Args:
-        cost: c (n,).
-        rows: G_k (k, N (N + 1) / 2, n): upper triangles by columns, what is off the diagonal times √2.
-        sides: h_k (k, N (N + 1) / 2), likewise.
-        order: N.
-        solver: "clarabel" or "cvxopt".
-
-    Example: the least t with t I ⪰ diag(1, 2).
-
-        >>> triangle = np.array([[[-1.0], [0.0], [-1.0]]]), np.array([[-1.0, 0.0, -2.0]])
-        >>> [semidefinite(np.ones(1), *triangle, 2, solver).round(6).tolist() for solver in ("clarabel", "cvxopt")]
-        [[2.0], [2.0]]
+    `rows` are G_k (k, N (N + 1) / 2, n) and `sides` h_k (k, N (N + 1) / 2) for the order N: upper triangles by columns,
+    what is off the diagonal times √2.
     """
     try:
         if solver == "cvxopt":
@@ -60,17 +50,8 @@ def _by_cvxopt(cost: Array, rows: Array, sides: Array, order: int) -> Array | No
 def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1e-8) -> Any:
     """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
 
-    Args:
-        gap: Share of the objective that may be missed.
-
-    Raises:
-        ArithmeticError: If a number is not finite, or the library fails.
-
-    Example: the least x with x ≥ 2.
-
-        >>> at_least = sparse.csc_matrix([[-1.0]]), np.array([-2.0]), [clarabel.NonnegativeConeT(1)]
-        >>> round(minimise(np.ones(1), *at_least).x[0], 6)
-        2.0
+    The gap is the share of the objective that may be missed. Raises ArithmeticError if a number is not finite, or the
+    library fails.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False

@@ -31,7 +31,6 @@ class DenseMap(LinearMap):
             stack[self.main :, -1, :k, :k] = -_units(self.W)
 
     def _write(self, out: Array, side: Side, N: int) -> None:
-        """Write the left-hand sides of one constraint."""
         k, eye = self.P.size, np.eye(N)[None]
         if side.L is not None:
             whole = _outer(side.L, eye if side.R is None else side.R)
@@ -43,15 +42,12 @@ class DenseMap(LinearMap):
             out[self.main - 1] = side.T
 
     def apply(self, v: Array) -> Array:
-        """Return A(v)."""
         return np.asarray(v @ self.images)
 
     def adjoint(self, z: Array) -> Array:
-        """Return A*(Z)."""
         return np.asarray(self.images @ z)
 
     def step(self, scalings: Sequence[Scaling]) -> Equations:
-        """Return the equations of a step, factorized."""
         return DenseEquations(self, scalings[0])
 
 
@@ -66,7 +62,7 @@ class StackMap(DenseMap):
         self.rows, self.values = np.zeros((0, self.size)), np.zeros(0)
 
 
-class DenseEquations:
+class DenseEquations(Equations):
     """`Equations` with the left-hand sides of all unit vectors."""
 
     def __init__(self, linear: DenseMap, scaling: Scaling) -> None:
@@ -75,15 +71,12 @@ class DenseEquations:
         self._normal = Normal(self._images @ self._images.T)
 
     def apply(self, v: Array) -> list[Array]:
-        """Return the scaled left-hand sides."""
         return [(v @ self._images).reshape(self._shape)]
 
     def adjoint(self, changes: Sequence[Array]) -> Array:
-        """Return A*(Z) for scaled Z."""
         return np.asarray(self._images @ changes[0].ravel())
 
     def solve(self, right: Array) -> Array:
-        """Return v whose scaled left-hand sides have this adjoint."""
         return self._normal.solve(right)
 
 
@@ -93,7 +86,6 @@ def _outer(front: Array, back: Array) -> Array:
 
 
 def _units(of: Triangle) -> Array:
-    """Return the symmetric matrices of the unit vectors."""
     units, k = np.zeros((of.size, of.n, of.n)), np.arange(of.size)
     units[k, of.rows, of.columns] = 1.0
     return symmetric_part(units)

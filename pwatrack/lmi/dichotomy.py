@@ -42,28 +42,14 @@ class Dichotomy(Packed):
     """−(M_i P + P M_iᵀ) − margin I ≻ 0 for every i, with a P of any sign, proved exactly; P is invertible then.
 
     Where M_i has irrational entries, for every matrix in its ball.
-
-    Attributes:
-        role: Which inequality it takes the place of.
-        margin: μ > 0, a short decimal.
     """
 
-    role: Role
-    margin: float
+    role: Role  # which inequality it takes the place of
+    margin: float  # μ > 0, a short decimal
 
 
 def prove_dichotomy(role: Role, M: Sequence[BallMatrix]) -> Dichotomy | None:
-    """Find such a P and prove it exactly, or return None.
-
-    Example: two saddles with one P, diag(1, −1).
-
-        >>> from pwatrack.lmi.role import GENERATOR
-        >>> M = [BallMatrix.of([[-2, 1], [1, a]]) for a in (1, 3)]
-        >>> prove_dichotomy(GENERATOR, M) is not None
-        True
-        >>> prove_dichotomy(GENERATOR, [BallMatrix.of([[a]]) for a in (-1, 1)]) is None  # no P: their numbers differ
-        True
-    """
+    """Find such a P and prove it exactly, or return None."""
     proofs = (_exactly(role, M, P) for P in _candidates(np.array([M_i.floats for M_i in M])))
     return next((proof for proof in proofs if proof is not None), None)
 
@@ -121,29 +107,15 @@ def _exactly(role: Role, M: Sequence[BallMatrix], P: Array) -> Dichotomy | None:
 
 @dataclass(frozen=True, kw_only=True)
 class NoDichotomy:
-    """Proof that no P = Pᵀ has M_i P + P M_iᵀ ≺ 0 in all cells, for the middles of balls.
+    """Proof that no P = Pᵀ has M_i P + P M_iᵀ ≺ 0 in all cells, for the middles of balls."""
 
-    Attributes:
-        Z: Whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where numbers differ.
-        P: Of two cells with different numbers of unstable modes a P each; empty where there are multipliers.
-        unstable: How many unstable modes these two have.
-    """
-
-    Z: Mapping[int, tuple[tuple[int, ...], ...]]
-    P: Mapping[int, Dichotomy]
-    unstable: Mapping[int, int]
+    Z: Mapping[int, tuple[tuple[int, ...], ...]]  # whole-number multipliers by cell, else 0; or empty
+    P: Mapping[int, Dichotomy]  # one for each of two cells with different numbers of unstable modes; or empty
+    unstable: Mapping[int, int]  # how many unstable modes these two have
 
 
 def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:
-    """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, the middles of balls; or return None.
-
-    Example: one cell has a mode that grows, the other has none.
-
-        >>> from pwatrack.lmi.role import GENERATOR
-        >>> found = refute_dichotomy(GENERATOR, [BallMatrix.of([[a]]) for a in (-1, 1)])
-        >>> dict(found.unstable)
-        {0: 0, 1: 1}
-    """
+    """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, the middles of balls; or return None."""
     middles = [BallMatrix(M_i.centre) for M_i in M]
     near = np.array([M_i.floats for M_i in M])
     numbers = _numbers(role, middles, near)

@@ -63,14 +63,10 @@ class InvariantEllipsoid(Packed):
 
     Of a start there is no g, and Q − G Gᵀ ≻ 0. Where M_p, g or c are irrational, for everything in their balls. So
     |c z| ≤ size · sup |d| from z = 0, or at all times from a start.
-
-    Attributes:
-        a: In 1/s, a short decimal.
-        sizes: One for each c, rounded up.
     """
 
-    a: float
-    sizes: tuple[float, ...]
+    a: float  # in 1/s, a short decimal
+    sizes: tuple[float, ...]  # one for each c, rounded up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +82,7 @@ class Inner:
         return cls(Q=Q, most=2 * _KEPT * rate)
 
     def near(self, M: Array) -> tuple[Array, Array] | None:
-        """Return V with Q = V Vᵀ and V⁻¹ M V, (p, N, N): with z = V w the Q is I; None where it is singular.
-
-        Example:
-            >>> V, seen = Inner(Q=np.diag([4.0, 1.0]), most=1.0).near(np.array([[[0.0, 1.0], [-1.0, 0.0]]]))
-            >>> V.tolist(), seen.tolist()
-            ([[2.0, 0.0], [0.0, 1.0]], [[[0.0, 0.5], [-2.0, 0.0]]])
-        """
+        """Return V with Q = V Vᵀ and V⁻¹ M V, (p, N, N): with z = V w the Q is I; None where it is singular."""
         try:
             V = np.linalg.cholesky(self.Q)
         except np.linalg.LinAlgError:
@@ -107,12 +97,8 @@ def ellipsoid(
 ) -> InvariantEllipsoid | None:
     """Return an ellipsoid, if one is proved, in which all c z are small: the sum of c Q cᵀ, each over its usual size.
 
-    Args:
-        M: The matrices M_p (N, N).
-        g: (N, 1); None is returned where it is 0.
-        forms: The rows c, (s, N).
-        inners: What to start from; of those that will do the last is taken, which should be the better conditioned.
-        tries: Of a.
+    M_p is (N, N), g (N, 1) not 0, and the rows c are `forms`, (s, N). Of the `inners` that will do to start from the
+    last is taken, which should be the better conditioned; so many a are tried.
 
     Example: |z| ≤ |g| / λ · sup |d| for z' = −λ z + g d.
 
@@ -264,7 +250,6 @@ def enclosure(
 
 
 def _short(value: float) -> float:
-    """Return a number of three digits."""
     return float(f"{value:.2e}")
 
 
@@ -273,24 +258,17 @@ class StartEllipsoid(Packed):
     """Q ≻ 0 with Q − G diag(1 / w) Gᵀ ≻ 0 and −(M_p Q + Q M_pᵀ) ≻ 0 for every p, proved exactly; c Q cᵀ ≤ size².
 
     Where M_p or c have irrational entries, for everything in their balls. So |c z| ≤ size at all times.
-
-    Attributes:
-        weights: w_k, short decimals; one for each column of G.
-        sizes: One for each c, rounded up.
     """
 
-    weights: tuple[float, ...]
-    sizes: tuple[float, ...]
+    weights: tuple[float, ...]  # w_k, short decimals; one for each column of G
+    sizes: tuple[float, ...]  # one for each c, rounded up
 
 
 def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:
     """Return an ellipsoid around starts, if one is proved, in which the largest |c z| / most is as small as can be.
 
-    Args:
-        M, forms: As for `ellipsoid`.
-        G: (N, k); it counts as the decimals that it prints as. Columns of 0 do nothing.
-        most: What each form is held against, (s,), positive; infinite for what does not count.
-        inner: What to start from.
+    G (N, k) counts as the decimals that it prints as; columns of 0 do nothing. Each form is held against an entry of
+    `most`, (s,), positive; infinite for what does not count.
 
     Example: z' = −z from |z(0)| ≤ 3, seen as 2 z.
 

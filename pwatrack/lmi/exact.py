@@ -31,22 +31,15 @@ Whole = tuple[tuple[int, ...], ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """A common P ≻ 0 with M_i P + P M_iᵀ + 2 rate P ≺ 0 in every cell.
+    """A common P ≻ 0 with M_i P + P M_iᵀ + 2 rate P ≺ 0 in every cell."""
 
-    Attributes:
-        M: The matrices it speaks of, (l, n, n), as used: A_i + B K for (8), (A_i + L C)ᵀ for (9), A_ηiᵀ for (17).
-        P: (n, n).
-        rate: Certified decay rate in 1/s, positive.
-        margin: Least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less its rounding error, with the
-            states scaled by powers of two to make the diagonal of P about 1 (which changes no sign); positive.
-        precise: P with more digits, where doubles do not hold what proves it; else None.
-    """
-
-    M: Array
-    P: Array
-    rate: float
+    M: Array  # the matrices it speaks of, (l, n, n), as used: A_i + B K for (8), (A_i + L C)ᵀ for (9), A_ηiᵀ for (17)
+    P: Array  # (n, n)
+    rate: float  # certified decay rate in 1/s, positive
+    # least eigenvalue over the cells of −(M_i P + P M_iᵀ + 2 rate P), less its rounding error, with the states scaled
+    # by powers of two to make the diagonal of P about 1 (which changes no sign); positive
     margin: float
-    precise: Rational | None = None
+    precise: Rational | None = None  # P with more digits, where doubles do not hold what proves it; else None
 
 
 def of_proof(M: Array, proof: "Proof") -> Certificate:
@@ -56,14 +49,7 @@ def of_proof(M: Array, proof: "Proof") -> Certificate:
 
 
 def prove(M: Array, P: Array) -> Certificate | None:
-    """Return a certificate for the largest rate that the symmetric part of P proves, or None if it proves none.
-
-    Example:
-        >>> prove(np.array([[[-1.0]], [[-3.0]]]), np.eye(1)).rate > 0.999
-        True
-        >>> prove(np.array([[[-1.0]], [[0.0]]]), np.eye(1)) is None
-        True
-    """
+    """Return a certificate for the largest rate that the symmetric part of P proves, or None if it proves none."""
     scaled = _scaled(M, P)
     if scaled is None or not _least(scaled[1], np.abs(scaled[1])) > 0:
         return None
@@ -126,13 +112,9 @@ def _least(X: Array, size: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Packed:
-    """A symmetric matrix in short numbers.
+    """A symmetric matrix in short numbers."""
 
-    Attributes:
-        integers, exponents: P_jk = integers_jk · 2^(exponents_j + exponents_k).
-    """
-
-    integers: Whole
+    integers: Whole  # P_jk = integers_jk · 2^(exponents_j + exponents_k)
     exponents: tuple[int, ...]
 
     @classmethod
@@ -166,18 +148,12 @@ class Proof(Packed):
     """P ≻ 0 and −(M_i P + P M_iᵀ) − 2 rate P − margin I ≻ 0 for every i, proved exactly.
 
     Where M_i has irrational entries, for every matrix in its ball.
-
-    Attributes:
-        role: Which inequality it is.
-        rate: Certified decay rate in 1/s, a short decimal.
-        margin: μ > 0, a short decimal.
-        radius: Any change of the matrices M_i below it, in the spectral norm, is covered too: at most μ / (2 ‖P‖).
     """
 
-    role: Role
-    rate: float
-    margin: float
-    radius: float
+    role: Role  # which inequality it is
+    rate: float  # certified decay rate in 1/s, a short decimal
+    margin: float  # μ > 0, a short decimal
+    radius: float  # any change of the matrices M_i below it, in the spectral norm, is covered too: at most μ / (2 ‖P‖)
 
     @property
     def order(self) -> int:

@@ -19,26 +19,14 @@ Solver = Literal["structured", "clarabel", "cvxopt"]
 
 @dataclass(frozen=True, kw_only=True)
 class Inequality:
-    """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell.
+    """Coefficients of sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0, one i per cell."""
 
-    Attributes:
-        L, R: (l, N, n) and (l, n, N), for P (n, n).
-        M, N: (l, N, m) and (l, n, N), for Y (m, n); m = 0 where there is no Y.
-        constant: C_i, (l, N, N), symmetric.
-        T: Coefficients T_i of a scalar t, (l, N, N), symmetric, where a term t T_i is added; see `program`.
-
-    Example:
-        >>> decay = lyapunov(np.array([[[-1.0]]]))
-        >>> decay.evaluate(np.array([[3.0]]), np.zeros((0, 1))).tolist()
-        [[[-6.0]]]
-    """
-
-    L: Array
-    R: Array
-    M: Array
-    N: Array
-    constant: Array
-    T: Array | None = None
+    L: Array  # (l, N, n), for P (n, n)
+    R: Array  # (l, n, N)
+    M: Array  # (l, N, m), for Y (m, n); m = 0 where there is no Y
+    N: Array  # (l, n, N)
+    constant: Array  # C_i, (l, N, N), symmetric
+    T: Array | None = None  # T_i, (l, N, N), symmetric, where a scalar t adds t T_i; see `program`
 
     @property
     def n(self) -> int:
@@ -76,11 +64,7 @@ def state_feedback(A: Array, B: Array, rate: float = 0.0) -> Inequality:
     cells, n = A.shape[:2]
     eye = np.broadcast_to(np.eye(n), (cells, n, n))
     return Inequality(
-        L=A + rate * np.eye(n),
-        R=eye,
-        M=np.broadcast_to(B, (cells, *B.shape)),
-        N=eye,
-        constant=np.zeros((cells, n, n)),
+        L=A + rate * np.eye(n), R=eye, M=np.broadcast_to(B, (cells, *B.shape)), N=eye, constant=np.zeros((cells, n, n))
     )
 
 

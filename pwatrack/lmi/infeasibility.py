@@ -19,33 +19,20 @@ _HINT = 0.9  # gap at which the least violation is known to be above 0
 
 @dataclass(frozen=True, kw_only=True)
 class Refutation:
-    """Proof that an inequality has no solution.
+    """Proof that an inequality has no solution."""
 
-    Attributes:
-        Z: Whole-number multipliers by cell; cells that are not named have Z_i = 0. Empty where there is another proof:
-        between: a mean of cells whose mode no gain moves.
-        eigenvalues: Of each cell that no gain stabilises by itself, the eigenvalue that stays; empty where
-            only the cells together have no solution.
-    """
-
-    Z: Mapping[int, tuple[tuple[int, ...], ...]]
-    eigenvalues: Mapping[int, complex]
-    between: Between | None = None
+    Z: Mapping[int, tuple[tuple[int, ...], ...]]  # whole-number multipliers by cell, else 0; or empty
+    eigenvalues: Mapping[int, complex]  # what stays in each cell that no gain stabilises by itself, if any
+    between: Between | None = None  # such a one: a mean of cells whose mode no gain moves
 
 
 @dataclass(frozen=True, kw_only=True)
 class Impossibility:
-    """What a refusal proves: the evidence of `Infeasible`.
+    """What a refusal proves: the evidence of `Infeasible`."""
 
-    Attributes:
-        role: Which inequality has no solution.
-        rate: Decay rate that is out of reach, in 1/s.
-        refutation: The proof; that no P of any sign does either, where that was asked.
-    """
-
-    role: Role
-    rate: float
-    refutation: Refutation | NoDichotomy
+    role: Role  # which inequality has no solution
+    rate: float  # decay rate that is out of reach, in 1/s
+    refutation: Refutation | NoDichotomy  # the proof; that no P of any sign does either, where that was asked
 
     @property
     def claim(self) -> str:
@@ -61,12 +48,6 @@ def refute(A: Array, B: Array, *, rate: float = 0.0, exact: Exact | None = None)
 
     B (n, m) has m = 0 where the gain is given. The rate (1/s) counts exactly as printed, and so do A and B where the
     exact matrices that the proof is about are not given.
-
-    Example: an integrator cannot be stabilised from nowhere.
-
-        >>> found = refute(np.array([[[0.0]]]), np.zeros((1, 0)))
-        >>> found.Z[0], found.eigenvalues
-        (((1,),), {0: 0j})
     """
     found = refute_by_modes(A, B, range(len(A)), rate=rate, exact=exact)
     if found is not None:
@@ -92,19 +73,12 @@ def refute_by_modes(
 
 
 def _shifted(A: Array, B: Array, rate: float, exact: Exact | None) -> tuple[list[Rational], Rational]:
-    """Return A_i + rate I and B in exact numbers."""
     numbers, exact_B = exact or ([decimals(A_i) for A_i in A], decimals(B))
     return [A_i + scalar(rate) * identity(A.shape[1]) for A_i in numbers], exact_B
 
 
 def seems_impossible(A: Array, B: Array, *, rate: float = 0.0) -> bool:
-    """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one.
-
-    Example:
-        >>> unstable = np.array([[[0.1]]])
-        >>> seems_impossible(unstable, np.zeros((1, 0))), seems_impossible(-unstable, np.zeros((1, 0)))
-        (True, False)
-    """
+    """Say whether a mean of cells, or floating-point multipliers, speak against a solution: a hint, and a quick one."""
     at = Coordinates.balanced(A, B)
     seen = null_space(at.input(B).T)
     if not seen.shape[1]:

@@ -12,7 +12,6 @@ tr W is to be small. It stands in that inequality alone, so it is eliminated by 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_solve, lapack, solve_triangular
@@ -105,13 +104,7 @@ class Corner:
 
 
 class Triangle:
-    """A symmetric matrix X = T + Tᵀ as the vector of a lower triangle T: half of the diagonal, and what is below it.
-
-    Example:
-        >>> two = Triangle(2)
-        >>> two.matrix(np.array([1.0, 2.0, 3.0])).tolist(), two.row(np.array([[1.0, 2.0], [2.0, 3.0]])).tolist()
-        ([[2.0, 2.0], [2.0, 6.0]], [2.0, 4.0, 6.0])
-    """
+    """A symmetric matrix X = T + Tᵀ as the vector of a lower triangle T: half of the diagonal, and what is below it."""
 
     def __init__(self, n: int) -> None:
         self.n, self.size = n, n * (n + 1) // 2
@@ -141,19 +134,6 @@ class Triangle:
         """Return the first entries of the lower triangle of each of a stack of matrices."""
         places = self.rows[:count] * X.shape[2] + self.columns[:count]
         return np.asarray(np.take(X.reshape(len(X), -1), places, axis=1))
-
-
-class Equations(Protocol):
-    """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
-
-    def apply(self, v: Array) -> list[Array]:
-        """Return the scaled left-hand sides without their constants, stack by stack."""
-
-    def adjoint(self, changes: Sequence[Array]) -> Array:
-        """Return A*(Z) for scaled stacks of Z."""
-
-    def solve(self, right: Array) -> Array:
-        """Return v whose scaled left-hand sides have this adjoint."""
 
 
 class LinearMap:
@@ -194,7 +174,6 @@ class LinearMap:
 
     @cached_property
     def _rooms(self) -> tuple[Array, Array]:
-        """Return memory for H and its factor, used by one step after the other."""
         return np.zeros((self.main, self.main)), np.empty((self.main, self.main))
 
     def parts(self, v: Array) -> tuple[Array, Array, float]:
@@ -233,9 +212,9 @@ class LinearMap:
             result[self.main :] = -self.W.row(corner[: self.W.n, : self.W.n])
         return result
 
-    def step(self, scalings: Sequence[Scaling]) -> Equations:
+    def step(self, scalings: Sequence[Scaling]) -> "Equations":
         """Return the equations of a step, factorized."""
-        return FormEquations(self, scalings, self._rooms)
+        return Equations(self, scalings, self._rooms)
 
     def _add_adjoint(self, result: Array, side: Side, Z: Array) -> None:
         if side.L is not None:
@@ -294,8 +273,8 @@ class LinearMap:
             H[k + r * n : k + (r + 1) * n, :k] = self.P.inside(both, k)
 
 
-class FormEquations:
-    """`Equations` by the form of the inequalities."""
+class Equations:
+    """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
 
     def __init__(self, linear: LinearMap, scalings: Sequence[Scaling], rooms: tuple[Array, Array]) -> None:
         self._linear, self._scalings = linear, scalings
@@ -326,12 +305,10 @@ class FormEquations:
         F, main = linear.W.of_row(right[linear.main :]), right[: linear.main].copy()
         main[: linear.P.size] -= linear.P.row(corner.Q.T @ F @ corner.Q)
         found = self._normal.solve(main)
-        P = linear.parts(found)[0]
-        return np.append(found, linear.W.of(corner.between(F) - corner.Q @ P @ corner.Q.T))
+        return np.append(found, linear.W.of(corner.between(F) - corner.Q @ linear.parts(found)[0] @ corner.Q.T))
 
 
 def _add_terms(terms: dict[str, list[Array]], side: Side, W: Array) -> None:
-    """Append the factors of H that a constraint has."""
     if side.L is not None:
         WL = W @ side.L
         RW = _front(side.R, W)
@@ -351,7 +328,6 @@ def _add_terms(terms: dict[str, list[Array]], side: Side, W: Array) -> None:
 
 
 def _once(X: Array) -> Array:
-    """Return a stack, or its first matrix if all are the same."""
     return np.ascontiguousarray(X[:1] if len(X) > 1 and (X[1:] == X[0]).all() else X)
 
 
@@ -386,13 +362,7 @@ def _paired(first: Array, second: Array) -> Array:
 class Normal:
     """H x = r for a positive semidefinite H, of which the lower triangle is read.
 
-    Raises:
-        numpy.linalg.LinAlgError: If H is far from that, or not finite.
-
-    Example: what no equation speaks of is 0.
-
-        >>> Normal(np.diag([4.0, 0.0])).solve(np.array([8.0, 0.0])).round(9).tolist()
-        [2.0, 0.0]
+    Raises LinAlgError if H is far from that, or not finite.
     """
 
     def __init__(self, H: Array, room: Array | None = None) -> None:

@@ -148,12 +148,6 @@ def conflict(
     Where those cells that bear nearly all of the weight prove it alone, they do. Where multipliers are singular, they
     are looked for once more in the faces that they seem to lie in. B is None where it is to be proved of a P of any
     sign.
-
-    Example: what turns without growing has no P.
-
-        >>> A = np.array([[0.0, 1.0], [-4.0, 0.0]])
-        >>> conflict(A[None], None, [decimals(A)], None)[0].tolist() != [[0, 0], [0, 0]]
-        True
     """
     at = Coordinates.balanced(A, B)
     D = decimals(at.T)
@@ -192,10 +186,7 @@ def sought(A: Array, bases: Sequence[Array], blind: Array, *, gap: float) -> lis
     none, or nothing was found. With a large gap of t they are well inside, and can be rounded; with a small one as
     singular as at the least t.
 
-    Args:
-        A: (l, n, n).
-        bases: Q_i (n, k_i), orthonormal.
-        blind: R (n, ρ).
+    A is (l, n, n), the bases Q_i (n, k_i) are orthonormal, and `blind` is R (n, ρ).
     """
     n, rank = A.shape[1], blind.shape[1]
     T = np.roll(np.linalg.qr(np.hstack([blind, np.eye(n)]))[0], -rank, axis=1)  # the complement of R, then R
@@ -249,12 +240,10 @@ def _candidates(A: Sequence[Rational], R: Rational, N: Sequence[Rational]) -> li
         return []
     differences = [N[0] * (A_i - A[0]) * R for A_i in A[1:] if N[0].nrows()]
     alike = left_null_space(stacked(differences).transpose()) if differences else identity(R.ncols())
-    rows = stacked([alike * R.transpose(), R.transpose()]).tolist()
-    return [_column(row) for row in rows]
+    return [_column(row) for row in stacked([alike * R.transpose(), R.transpose()]).tolist()]
 
 
 def _factor(y: Rational, x: Rational) -> Any:
-    """Return c with y = c x, or None."""
     if not any(y.entries()):
         return flint.fmpq(0)
     at = next((k for k, v in enumerate(x.entries()) if v != 0), None)
@@ -334,20 +323,16 @@ def _pivots(G: Array) -> tuple[list[int], list[int]]:
     diagonal = np.abs(np.diag(triangle))
     rank = int((diagonal > _INDEPENDENT * diagonal.max(initial=0.0)).sum())
     rows = order[:rank]
-    columns = qr(G[rows], pivoting=True, mode="economic")[2][:rank]
-    return rows.tolist(), columns.tolist()
+    return rows.tolist(), qr(G[rows], pivoting=True, mode="economic")[2][:rank].tolist()
 
 
 def _denominator(matrices: Iterable[Rational]) -> int:
-    """Return the smallest number that makes all entries of some matrices whole."""
     return lcm(*(int(v.q) for X in matrices for v in X.entries()))
 
 
 def _total(terms: Sequence[Rational]) -> Rational:
-    """Return the sum of at least one matrix."""
     return sum(terms[1:], terms[0])
 
 
 def _column(entries: Sequence[Any]) -> Rational:
-    """Return entries as a column."""
     return flint.fmpq_mat(len(entries), 1, list(entries))

@@ -59,12 +59,7 @@ class Norm:
         return cls(P if proof.role.transposed else P.inv())
 
     def __call__(self, vector: Array) -> float:
-        """Return ‖vector‖, rounded up.
-
-        Example:
-            >>> 5.0 <= Norm.euclidean(2)(np.array([3.0, 4.0])) < 5.0 + 1e-14
-            True
-        """
+        """Return ‖vector‖, rounded up."""
         column = doubles(np.asarray(vector)[:, None])
         return root_above((column.transpose() * self.Q * column)[0, 0])
 
@@ -134,16 +129,8 @@ def largest_share(slack: Sequence[Rational], U: BallMatrix, V: BallMatrix, gain:
     For any t_jk > 0, U δ Vᵀ + V δᵀ Uᵀ ⪯ ρ R with R = Σ_jk |gain_jk| (t_jk u_j u_jᵀ + v_k v_kᵀ / t_jk): so S_i − ρ R ≻ 0
     is enough. The t_jk make both terms alike where the slack is least.
 
-    Args:
-        slack: S_i (n, n), positive definite.
-        U, V: (n, a) and (n, b); where they have irrational entries, it is proved for everything in their balls.
-        gain: (a, b), as printed.
-
-    Example: −2 (−3 + δ) − 2 > 0 for |δ| < 2, two thirds of 3.
-
-        >>> one = BallMatrix.of([[1]])
-        >>> 0.65 < largest_share([4 * one.centre], one, one, np.array([[3.0]])) < 2 / 3
-        True
+    S_i (n, n) is positive definite; U is (n, a) and V (n, b): where they have irrational entries, it is proved for
+    everything in their balls. The gain (a, b) counts as printed.
     """
     S, u, v = np.array([floats(S_i) for S_i in slack]), U.floats, V.floats
     size = np.abs(gain)

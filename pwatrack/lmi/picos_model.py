@@ -115,14 +115,11 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
     """Linear objectives over linear and semidefinite constraints, min cᵀx s.t. Gx + s = h, s ∈ cones."""
 
     SUPPORTED = Specification(
-        objectives=[AffineExpression],
-        variables=CONTINUOUS_VARTYPES,
-        constraints=[AffineConstraint, LMIConstraint],
+        objectives=[AffineExpression], variables=CONTINUOUS_VARTYPES, constraints=[AffineConstraint, LMIConstraint]
     )
 
     @classmethod
     def supports(cls, footprint: Any, explain: bool = False) -> Any:
-        """Tell PICOS which problems need no reformulation."""
         supported, reason = PicosSolver.supports(footprint, explain=True)
         if supported and footprint not in cls.SUPPORTED:
             supported, reason = False, cls.SUPPORTED.mismatch_reason(footprint)
@@ -130,7 +127,6 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
 
     @classmethod
     def default_penalty(cls) -> float:
-        """Rank among free solvers."""
         return 1.0
 
     @classmethod
@@ -139,16 +135,13 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
 
     @classmethod
     def names(cls) -> tuple[str, str, str, None]:
-        """Names that PICOS shows."""
         return "clarabel", "Clarabel", "Clarabel interior-point solver", None
 
     @classmethod
     def is_free(cls) -> bool:
-        """Apache-2.0."""
         return True
 
     def reset_problem(self) -> None:
-        """Forget the problem."""
         self.int = None
 
     def _import_problem(self) -> None:

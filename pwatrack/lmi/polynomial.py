@@ -35,17 +35,7 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array, IntArray, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.exact import (
-    BITS,
-    Certificate,
-    Packed,
-    Proof,
-    Whole,
-    left_side,
-    prove_exactly,
-    proved_rate,
-    whole,
-)
+from pwatrack.lmi.exact import BITS, Certificate, Packed, Proof, Whole, left_side, prove_exactly, proved_rate, whole
 from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import semidefinite
@@ -61,14 +51,7 @@ _DIGITS = 12  # binary, of the coordinates
 
 @dataclass(frozen=True)
 class Monomials:
-    """Those of degree d in n variables, e_1^d first, in falling order of their exponents.
-
-    Example: along e' = −e every product of two entries falls as e^(−2t).
-
-        >>> two = Monomials.of(2, 2)
-        >>> two.exponents, two.lift(-np.eye(2)[None]).tolist()
-        (((2, 0), (1, 1), (0, 2)), [[[-2.0, 0.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, -2.0]]])
-    """
+    """Those of degree d in n variables, e_1^d first, in falling order of their exponents."""
 
     n: int
     d: int
@@ -153,12 +136,7 @@ class Monomials:
 
 
 def upper(X: Array) -> Array:
-    """Return the upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2.
-
-    Example:
-        >>> upper(np.array([[[1.0, 0.0], [0.0, 4.0]]])).tolist()
-        [[1.0, 0.0, 4.0]]
-    """
+    """Return upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2."""
     column, row = np.tril_indices(X.shape[-1])
     return np.asarray(X[..., row, column] * np.where(row == column, 1.0, np.sqrt(2.0)))
 
@@ -173,23 +151,14 @@ def symmetric_of(x: Array, N: int) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class PolynomialLyapunov:
-    """P and N_i in floating point, for the monomials in weights of z = T e.
+    """P and N_i in floating point, for the monomials in weights of z = T e."""
 
-    Attributes:
-        A: The matrices by which errors change, (l, n, n).
-        degree: 2 d.
-        T: (n, n), of short binary numbers.
-        P: (N, N).
-        N: One for each matrix, (l, N, N).
-        rate: α in 1/s that they show, positive.
-    """
-
-    A: Array
-    degree: int
-    T: Array
-    P: Array
-    N: Array
-    rate: float
+    A: Array  # the matrices by which errors change, (l, n, n)
+    degree: int  # 2 d
+    T: Array  # (n, n), of short binary numbers
+    P: Array  # (N, N)
+    N: Array  # one for each matrix, (l, N, N)
+    rate: float  # α in 1/s that they show, positive
 
     @property
     def monomials(self) -> Monomials:
@@ -198,12 +167,7 @@ class PolynomialLyapunov:
 
 
 def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
-    """Return the degrees that are tried for so many different matrices of order n: those of programs small enough.
-
-    Example:
-        >>> degrees(2, 2), degrees(4, 3), degrees(12, 3)
-        ((4, 6, 8, 10), (4, 6), ())
-    """
+    """Return the degrees that are tried for so many different matrices of order n: those of programs small enough."""
     orders = {degree: len(Monomials.of(n, degree // 2)) for degree in DEGREES if n > 1}
     return tuple(degree for degree, N in orders.items() if (cells + 2) * N * (N + 1) // 2 <= most_rows)
 
@@ -211,18 +175,8 @@ def degrees(n: int, cells: int, most_rows: int = MOST_ROWS) -> tuple[int, ...]:
 def best_polynomial(A: Array, degree: int, near: Coordinates, *, trials: int = TRIALS) -> PolynomialLyapunov | None:
     """Look for a polynomial of one degree with the largest rate.
 
-    Args:
-        A: The matrices by which errors change, (l, n, n), each different and each stable by itself.
-        degree: 2 d.
-        near: Coordinates in which the P of M_i P + P M_iᵀ ≺ 0 for M_i = A_iᵀ is near I.
-        trials: So many rates are tried; the first of them is 0.
-
-    Example: a pair that no quadratic form serves, the example's zero dynamics with k2 = 1.
-
-        >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
-        >>> near = Coordinates.balanced(A.swapaxes(1, 2))
-        >>> best_polynomial(A, 2, near) is None, best_polynomial(A, 4, near).rate > 0
-        (True, True)
+    The matrices A (l, n, n), by which errors change, are each different and each stable by itself. In the coordinates
+    `near` the P of M_i P + P M_iᵀ ≺ 0 for M_i = A_iᵀ is near I. So many rates are tried; the first of them is 0.
     """
     T = short(near.T.T)
     with np.errstate(all="ignore"):
@@ -297,22 +251,14 @@ class PolynomialProof(Packed):
 
     𝒜_i is the lift of T A_i T⁻¹ on the monomials of degree d, A_i the matrix by which errors change. Where it has
     irrational entries, for every matrix in its ball.
-
-    Attributes:
-        role: Which inequality it takes the place of.
-        degree: 2 d.
-        T: (n, n): the decimals that it prints as.
-        N: The integers of N_i, one for each different A_i, with
-        N_exponents: their exponents.
-        rate: Certified decay rate of errors in 1/s, a short decimal.
     """
 
-    role: Role
-    degree: int
-    T: Array
-    N: tuple[Whole, ...]
-    N_exponents: tuple[int, ...]
-    rate: float
+    role: Role  # which inequality it takes the place of
+    degree: int  # 2 d
+    T: Array  # (n, n): the decimals that it prints as
+    N: tuple[Whole, ...]  # the integers of N_i, one for each different A_i
+    N_exponents: tuple[int, ...]  # those of N_i
+    rate: float  # certified decay rate of errors in 1/s, a short decimal
 
     @property
     def order(self) -> int:
@@ -340,14 +286,6 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
     """Round P, N_i and the rate to short numbers and prove the inequality of these M_i for them, or return None.
 
     What was found is of the matrices nearest to these, each different.
-
-    Example:
-        >>> from pwatrack.lmi.role import CONTROLLER
-        >>> A = np.array([[[0.0, 1.0], [-1.0, -0.3]], [[0.0, 1.0], [-2.0, -0.3]]])
-        >>> found = best_polynomial(A, 4, Coordinates.balanced(A.swapaxes(1, 2)))
-        >>> proof = prove_polynomial(CONTROLLER, [BallMatrix.of(A_i) for A_i in A], found)
-        >>> proof.degree, 0 < proof.rate <= found.rate
-        (4, True)
     """
     monomials, T = found.monomials, BallMatrix.of(found.T)
     weights = monomials.weights
@@ -369,7 +307,6 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
 
 
 def _numbers(found: PolynomialLyapunov, A: Sequence[Array]) -> Array | None:
-    """Return the N_i of these matrices, (l, N, N); None where one has none."""
     at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
     places = [at.get((A_i + 0.0).tobytes(), -1) for A_i in A]
     return None if -1 in places else np.asarray(found.N[places])

@@ -39,11 +39,6 @@ def distinct(A: Array) -> tuple[Array, IntArray]:
     """Return the different matrices of a stack (l, n, n) and the place of each original among them.
 
     Equal matrices give equal inequalities: with k2 = k3 two cells of the paper's example are one.
-
-    Example:
-        >>> matrices, place = distinct(np.array([[[1.0]], [[2.0]], [[1.0]]]))
-        >>> matrices.ravel().tolist(), place.tolist()
-        ([1.0, 2.0], [0, 1, 0])
     """
     seen: dict[bytes, int] = {}
     first = [seen.setdefault(row.tobytes(), len(seen)) for row in A + 0.0]  # −0 + 0 = 0
@@ -63,8 +58,7 @@ def corners(A: Array) -> IntArray:
         >>> corners(box).tolist()
         [0, 2, 3, 5]
     """
-    place = distinct(A)[1]
-    kept = np.sort(np.unique(place, return_index=True)[1])
+    kept = np.sort(np.unique(distinct(A)[1], return_index=True)[1])
     points = _coordinates(A[kept].reshape(len(kept), -1))
     for axis in range(points.shape[1]):  # who is between two others on a line along an axis is no corner
         chosen = _ends(points, axis)
@@ -106,28 +100,12 @@ def _ends(points: Array, axis: int) -> IntArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinates:
-    """x = T z, u = E v and t = τ / speed, for the inequality A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + W ⪯ 0.
+    """x = T z, u = E v and t = τ / speed, for the inequality A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ + W ⪯ 0."""
 
-    Attributes:
-        T, inverse: T (n, n) and T⁻¹.
-        e: Diagonal of E, (m,).
-        speed: In 1/s.
-
-    Example: what is asked of the one is asked of the other.
-
-        >>> A, B = np.array([[[0.0, 1e6], [-1.0, 0.0]]]), np.array([[0.0], [1e3]])
-        >>> at = Coordinates.balanced(A, B)
-        >>> float(np.abs(at.system(A)).max()), float(np.abs(at.input(B)).max())
-        (1.0, 0.9765625)
-        >>> K = np.array([[3.0, 4.0]])
-        >>> bool(np.allclose(at.system(A + B @ at.gain(K)), at.system(A) + at.input(B) @ K))
-        True
-    """
-
-    T: Array
-    inverse: Array
-    e: Array
-    speed: float
+    T: Array  # (n, n)
+    inverse: Array  # T⁻¹
+    e: Array  # diagonal of E, (m,)
+    speed: float  # in 1/s
 
     @classmethod
     def balanced(cls, A: Array, B: Array | None = None) -> "Coordinates":
@@ -149,11 +127,6 @@ class Coordinates:
 
         There a problem has the same numbers in all units, so that a solver answers the same. Where A is 0 the tempo
         (1/s) is its speed.
-
-        Example:
-            >>> at = Coordinates.sized(np.array([[[0.0, 1.0], [-1.0, 0.0]]]), np.array([0.1, 2.0]), np.array([5.0]))
-            >>> at.speed, at.gain(np.ones((1, 2))).tolist()
-            (20.0, [[50.0, 2.5]])
         """
         speed = float(np.linalg.norm(A / states[:, None] * states, 2, axis=(1, 2)).max(initial=0.0))
         speed = speed if 0 < speed < np.inf else tempo
@@ -246,16 +219,11 @@ def _power_of_two(value: float) -> float:
 
 @dataclass(frozen=True)
 class Precise:
-    """x = T z.
+    """x = T z."""
 
-    Attributes:
-        T, inverse: T (n, n) and T⁻¹, to working precision.
-        P: T Tᵀ, (n, n).
-    """
-
-    T: Rational
+    T: Rational  # (n, n), to working precision, as T⁻¹
     inverse: Rational
-    P: Rational
+    P: Rational  # T Tᵀ, (n, n)
 
     @classmethod
     def of_stable(cls, M: Rational, W: Rational) -> "Precise | None":

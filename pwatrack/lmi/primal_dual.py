@@ -69,24 +69,13 @@ def solve(
 ) -> Solution | None:
     """Minimise from an infeasible start.
 
-    Args:
-        gap: Between the objective and its dual bound, as a share of the objective, at which it ends.
-        against: A number; ends where the objective is less, and where it cannot be, of which P and Y need not be exact:
-            `gap` is a share of the distance.
-        after: The answer to a program with constraints of the same shapes and nearly the same entries. It is begun
-            there, and where that leads nowhere begun again; an objective far below the one before counts as 0.
+    It ends at a gap between the objective and its dual bound, a share of the objective. With a number `against` it ends
+    where the objective is less, and where it cannot be, of which P and Y need not be exact: the gap is a share of the
+    distance. `after` is the answer to a program with constraints of the same shapes and nearly the same entries: it is
+    begun there, and where that leads nowhere begun again; an objective far below the one before counts as 0.
 
-    Returns:
-        What was reached, or multipliers that say that nothing can be; None where it is stuck. With a large gap P, Y
-        and the multipliers are well inside what they must satisfy, unless the objective is less than that number.
-
-    Example: the largest t ≤ 1 with −2 P ⪯ −t I, t I ⪯ P ⪯ I.
-
-        >>> from pwatrack.lmi.inequality import lyapunov
-        >>> from pwatrack.lmi.program import largest_margin
-        >>> found = solve(largest_margin(lyapunov(-np.eye(2)[None])))
-        >>> round(found.t, 6), found.violation < 0, found.gap < 1e-6
-        (1.0, True, True)
+    Returned is what was reached, or multipliers that say that nothing can be; None where it is stuck. With a large gap
+    P, Y and the multipliers are well inside what they must satisfy, unless the objective is less than that number.
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         linear = _map(program)
@@ -102,13 +91,7 @@ def solve(
     multipliers = tuple(Z / unit for Z in linear.blocks.parts(at.z)[: len(program.constraints)])
     P, Y, t = linear.parts(at.v)
     return Solution(
-        program=program,
-        P=P,
-        Y=Y.copy(),
-        t=t,
-        multipliers=multipliers,
-        impossible=impossible,
-        iterations=iterations,
+        program=program, P=P, Y=Y.copy(), t=t, multipliers=multipliers, impossible=impossible, iterations=iterations
     )
 
 
@@ -230,7 +213,6 @@ def _value(linear: LinearMap, at: _Iterate) -> float:
 
 
 def _start(linear: LinearMap) -> _Iterate:
-    """Return multiples of I that are large beside the data."""
     s, z = np.zeros(linear.blocks.size), np.zeros(linear.blocks.size)
     stacks = (linear.blocks.stacks(x) for x in (linear.constant, s, z))
     for constant, S, Z in zip(*stacks, strict=True):
@@ -267,7 +249,6 @@ def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
 
 
 def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:
-    """Return the scalings; None if a slack or multiplier is not positive definite."""
     with suppress(np.linalg.LinAlgError):
         return [Scaling.of(S, Z) for S, Z in zip(linear.blocks.stacks(at.s), linear.blocks.stacks(at.z), strict=True)]
     return None
@@ -373,5 +354,4 @@ class _Step:
 
 
 def _diagonal(d: Array) -> Array:
-    """Return diagonal matrices, (l, N, N), of their diagonals."""
     return np.asarray(d[:, :, None] * np.eye(d.shape[1]))

@@ -16,22 +16,14 @@ _LEAST_NORM = 1e-12  # of a gain, as a unit of its bound
 class SemidefiniteProgram:
     """Minimise price · t, tr W P, or tr V P⁻¹ Vᵀ, subject to inequalities in P, Y and a scalar t, and equalities.
 
-    Attributes:
-        constraints: The inequalities, at least one; all have the same P, Y and t.
-        price: Of t: −1 makes it large, 1 small; 0 where t is not what counts.
-        weight: V (k, n) where tr V P⁻¹ Vᵀ is to be small.
-        cost: W (n, n), symmetric, where tr W P is to be small and W is not I.
-        equalities: E (n, n), symmetric, and value of each tr E P = value.
-
-    Raises:
-        ValueError: If shapes do not fit, or more than one objective is given.
+    Raises ValueError if shapes do not fit, or more than one objective is given.
     """
 
-    constraints: tuple[Inequality, ...]
-    price: float
-    weight: Array | None = None
-    cost: Array | None = None
-    equalities: tuple[tuple[Array, float], ...] = ()
+    constraints: tuple[Inequality, ...]  # the inequalities, at least one; all have the same P, Y and t
+    price: float  # of t: −1 makes it large, 1 small; 0 where t is not what counts
+    weight: Array | None = None  # V (k, n) where tr V P⁻¹ Vᵀ is to be small
+    cost: Array | None = None  # W (n, n), symmetric, where tr W P is to be small and W is not I
+    equalities: tuple[tuple[Array, float], ...] = ()  # E (n, n), symmetric, and value of each tr E P = value
 
     def __post_init__(self) -> None:
         if not self.constraints or any((c.n, c.m) != (self.n, self.m) for c in self.constraints):
@@ -87,33 +79,17 @@ class SemidefiniteProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """What a solver returned for a program. It proves nothing before it is looked at, whatever the solver says.
+    """What a solver returned for a program. It proves nothing before it is looked at, whatever the solver says."""
 
-    Attributes:
-        program: What was asked.
-        P, Y, t: The unknowns, (n, n), (m, n) and a number.
-        multipliers: Those of each constraint, (l, N, N) each, where the solver gives them.
-        impossible: Whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1
-            for whatever satisfies the equalities, up to rounding, and P, Y and t are the last that were tried.
-        iterations: How many the solver made from where it last began, where it says so.
-
-    Example: the least trace of P with −2 P + 1 ⪯ 0 and P ⪰ 0.
-
-        >>> from pwatrack.lmi.inequality import weighted
-        >>> program = least_trace(weighted(-np.eye(1)[None], np.eye(1)))
-        >>> Z = np.array([[[0.5]]]), np.array([[[0.0]]])
-        >>> found = Solution(program=program, P=np.array([[0.75]]), Y=np.zeros((0, 1)), t=0.0, multipliers=Z)
-        >>> found.objective, found.violation, found.bound, found.gap, found.dual_off
-        (0.75, -0.5, 0.5, 0.25, 0.0)
-    """
-
-    program: SemidefiniteProgram
-    P: Array
-    Y: Array
+    program: SemidefiniteProgram  # what was asked
+    P: Array  # (n, n)
+    Y: Array  # (m, n)
     t: float
-    multipliers: tuple[Array, ...] | None = None
+    multipliers: tuple[Array, ...] | None = None  # of each constraint, (l, N, N) each, where the solver gives them
+    # whether the multipliers say that nothing satisfies all constraints: then Σ tr Z_i F_i(P, Y, t) is 1 for whatever
+    # satisfies the equalities, up to rounding, and P, Y and t are the last that were tried
     impossible: bool = False
-    iterations: int | None = None
+    iterations: int | None = None  # how many the solver made from where it last began, where it says so
 
     @property
     def objective(self) -> float:
@@ -226,10 +202,8 @@ def least_condition(inequality: Inequality, unit: Array) -> SemidefiniteProgram:
     """Minimise κ subject to F_i(P) ⪯ 0 for all cells and U ⪯ λP ⪯ κU for some λ > 0.
 
     κ may be 1e12: so P ⪰ t U / λmax(U) and P ⪯ U / λmin(U), the latter as a bound of I, where all numbers are about 1.
-    U (n, n), positive definite, is the P that would be the identity in the units that count.
-
-    Raises:
-        numpy.linalg.LinAlgError: If U is not positive definite.
+    U (n, n), positive definite, is the P that would be the identity in the units that count. Raises LinAlgError if U is
+    not positive definite.
     """
     values, vectors = np.linalg.eigh(unit)
     if not values[0] > 0:
@@ -287,10 +261,8 @@ def smaller_gain(
     multiplied by P₁⁻¹ H and E is divided by the norm there, for the P₁ that a sequence begins with: so that at P₁ the
     last block is I and κ is 1, and all programs of the sequence are in the same numbers.
 
-    Args:
-        inequality, metric_root, input_root: As for `smallest_gain`; H is not scaled.
-        last: P₀ ≻ 0 and a Y that satisfy the inequality strictly.
-        first: P₁ and its Y, where P₀ is an answer to an earlier program of the sequence.
+    H is not scaled here. `last` is P₀ ≻ 0 and a Y that satisfy the inequality strictly; `first` is P₁ and its Y, where
+    P₀ is an answer to an earlier program of the sequence.
     """
     P, Y = last if first is None else first
     scale = 1 / float(np.linalg.eigvalsh(P)[0])

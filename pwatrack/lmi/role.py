@@ -13,31 +13,16 @@ from pwatrack.causes import ProblemPart
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """What is proved to converge.
+    """What is proved to converge."""
 
-    Attributes:
-        name: "controller", "observer", "generator" or "plant", as in the files that a run writes.
-        claim: Its inequality, `"(8)"`.
-        part: What a refusal of it is about.
-        letter: The gain that it has, "K" or "L"; empty where it has none.
-        transposed: Whether M_i is the transpose of the matrix by which errors change: then P itself, and not P⁻¹,
-            is the norm in which they shrink.
-    """
-
-    name: str
-    claim: str
-    part: ProblemPart
-    letter: str = ""
-    transposed: bool = True
+    name: str  # "controller", "observer", "generator" or "plant", as in the files that a run writes
+    claim: str  # its inequality, `"(8)"`
+    part: ProblemPart  # what a refusal of it is about
+    letter: str = ""  # the gain that it has, "K" or "L"; empty where it has none
+    transposed: bool = True  # whether M_i is the transpose of what changes errors: P, not P⁻¹, is their norm
 
     def oriented(self, X: Array) -> Array:
-        """Return M_i of the matrix by which errors change, or the other way round; the gain of (8) of K or L too.
-
-        Example:
-            >>> import numpy as np
-            >>> OBSERVER.oriented(np.zeros((3, 1))).shape, CONTROLLER.oriented(np.zeros((1, 3))).shape
-            ((1, 3), (1, 3))
-        """
+        """Return M_i of the matrix by which errors change, or the other way round; the gain of (8) of K or L too."""
         return X.swapaxes(-1, -2) if self.transposed else X
 
     def exact(self, X: BallMatrix) -> BallMatrix:

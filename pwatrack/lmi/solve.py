@@ -21,18 +21,8 @@ _answered: ContextVar[Counter[str] | None] = ContextVar("answered", default=None
 def asking(solver: Solver) -> Iterator[None]:
     """Have a solver asked for all programs within: no inequality, and no search, needs to know which one it is.
 
-    Args:
-        solver: "structured" is `primal_dual`, and Clarabel for what it gives up. "clarabel" and "cvxopt" are asked
-            through PICOS, and nobody else.
-
-    Example:
-        >>> import numpy as np
-        >>> from pwatrack.lmi.inequality import lyapunov
-        >>> from pwatrack.lmi.program import largest_margin
-        >>> with asking("cvxopt"), answers() as answered:
-        ...     found = solve(largest_margin(lyapunov(-np.eye(2)[None])))
-        >>> dict(answered)
-        {'cvxopt': 1}
+    "structured" is `primal_dual`, and Clarabel for what it gives up. "clarabel" and "cvxopt" are asked through PICOS,
+    and nobody else.
     """
     token = _asked.set(solver)
     try:
@@ -61,10 +51,8 @@ def solve(
 ) -> Solution | None:
     """Return a minimiser of a program, or None if nothing was found.
 
-    Args:
-        gap: Share of the objective that may be missed; PICOS' solvers miss less.
-        against: It is enough to know whether the objective can be below this number: see `primal_dual`.
-        after: The answer to a program that differs little, as the one before it in a sequence.
+    `gap` is the share of the objective that may be missed; PICOS' solvers miss less. It is enough to know whether the
+    objective can be below `against`; `after` is the answer to a program that differs little: see `primal_dual`.
     """
     if not program.finite:
         return None
@@ -88,7 +76,6 @@ def semidefinite(cost: Array, rows: Array, sides: Array, order: int) -> Array | 
 
 
 def _by(solver: Solver, found: Found | None) -> Found | None:
-    """Return an answer, counted."""
     counted = _answered.get()
     if counted is not None:
         counted[solver if found is not None else "nobody"] += 1

@@ -114,23 +114,14 @@ def symmetric_part_of_spectrum(M: Rational) -> Rational:
 
 @dataclass(frozen=True, kw_only=True)
 class Between:
-    """Proof that a mean of cells has a mode that no gain moves and that does not decay.
+    """Proof that a mean of cells has a mode that no gain moves and that does not decay."""
 
-    Attributes:
-        weights: w_i by cell, to within (k − 1) times the radius for k cells; they add up to 1.
-        rows: N (k, n), of full rank, N B = 0.
-        mode: z, its entries to within the radius but for one that is 1.
-        eigenvalue: μ, likewise; with the rate that was asked added to A.
-        inverse: C (n, n).
-        radius: r.
-    """
-
-    weights: Mapping[int, Fraction]
-    rows: tuple[tuple[Fraction, ...], ...]
-    mode: tuple[Fraction, ...]
-    eigenvalue: Fraction
-    inverse: Array
-    radius: Fraction
+    weights: Mapping[int, Fraction]  # w_i by cell, to within (k − 1) times the radius for k cells; they add up to 1
+    rows: tuple[tuple[Fraction, ...], ...]  # N (k, n), of full rank, N B = 0
+    mode: tuple[Fraction, ...]  # z, its entries to within the radius but for one that is 1
+    eigenvalue: Fraction  # μ, likewise; with the rate that was asked added to A
+    inverse: Array  # C (n, n)
+    radius: Fraction  # r
 
     def of(self, places: Sequence[int]) -> "Between":
         """Return the same with other numbers of the cells, by the ones they have."""
@@ -160,14 +151,6 @@ def uncontrollable_mean(A: Array, B: Array, exact_A: Sequence[Rational], exact_B
 
     It is looked for among cells each of which differs from a first one by a product g hᵀ, as those on both sides of a
     facet do: as many as B has independent columns.
-
-    Example: two unstable modes, which the input pushes by 1 and 1 in one cell and by 3 and −2 in the other.
-
-        >>> A = np.array([[[0.0, 0, 0], [g, 1, 1], [h, 0, 2]] for g, h in ((1.0, 1.0), (3.0, -2.0))])
-        >>> B = np.array([[1.0], [0.0], [0.0]])
-        >>> found = uncontrollable_mean(A, B, [decimals(A_i) for A_i in A], decimals(B))
-        >>> float(found.eigenvalue), {i: round(float(w), 6) for i, w in found.weights.items()}
-        (2.0, {0: 0.666667, 1: 0.333333})
     """
     proofs = (_proved(guess, exact_A, exact_B) for guess in _guesses(A, B))
     return next((found for found in proofs if found is not None), None)
@@ -228,7 +211,6 @@ def _neighbours(M: Array, i: int, *, everywhere: bool) -> Iterator[tuple[int, Ar
 
 
 def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Between | None:
-    """Return the proof that there is a root near a guess, or None."""
     cells, w, mu, v, at = guess
     A, last, inverse_T = [exact_A[i] for i in cells], len(cells) - 1, decimals(at.inverse)
     N = left_null_space(inverse_T * exact_B)

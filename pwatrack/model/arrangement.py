@@ -35,19 +35,12 @@ class TooMany(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Arrangement:
-    """The regions of a set of hyperplanes.
+    """The regions of a set of hyperplanes."""
 
-    Attributes:
-        regions: One whole number each.
-        points: A point inside each, (l, r), as `polyhedron.Point` in coordinates of its own.
-        columns: The r states that move in them; the others are 0.
-        back: Takes these coordinates to those states, (r, r).
-    """
-
-    regions: tuple[int, ...]
-    points: tuple[Point, ...]
-    columns: tuple[int, ...]
-    back: tuple[tuple[Fraction, ...], ...]
+    regions: tuple[int, ...]  # one whole number each
+    points: tuple[Point, ...]  # a point inside each, (l, r), as `polyhedron.Point` in coordinates of its own
+    columns: tuple[int, ...]  # the r states that move in them; the others are 0
+    back: tuple[tuple[Fraction, ...], ...]  # takes these coordinates to those states, (r, r)
 
     def point(self, position: int, n: int) -> tuple[Fraction, ...]:
         """Return a point (n,) inside a region."""

@@ -9,20 +9,13 @@ from pwatrack.real import Real
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """A parameter that may have any value of an interval.
-
-    Attributes:
-        name: Of the parameter.
-        nominal: Its value in the design.
-        low, high: The ends.
-        uses: The parameters that its value is made of in the file.
-    """
+    """A parameter that may have any value of an interval."""
 
     name: str
-    nominal: Real
+    nominal: Real  # its value in the design
     low: Real
     high: Real
-    uses: frozenset[str] = frozenset()
+    uses: frozenset[str] = frozenset()  # the parameters that its value is made of in the file
 
     def scaled(self, factor: Real) -> "Uncertain":
         """Return the interval with both ends so many times as far away from the value of the design."""

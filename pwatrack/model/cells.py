@@ -49,50 +49,33 @@ class Partition:
     Which cells have an interior, share a facet, overlap or leave a hole is decided for the exact numbers, in whole
     numbers, whatever their sizes.
 
-    Attributes:
-        H: Normals of the hyperplanes, (k, n): the doubles nearest to `exact_H`.
-        h: Offsets of the hyperplanes, (k,): likewise.
-        signs: Side of each hyperplane that each cell is on, (l, k), entries −1, 0, 1.
-        names: Name of each cell, l of them.
-        exact_H, exact_h: The same numbers as they were written; the middle of what is only known to lie in a ball.
-            Where a normal is beyond 1e±100 they are divided by its largest entry.
-        complete: Whether the cells are all regions that the hyperplanes cut ℝⁿ into, by construction; then nothing
-            is left to prove.
-        repair: Largest change of a border that two cells write with different roundings, relative to its numbers.
-        remarks: What was noticed when it was made.
-
     Example:
         >>> halves = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["left", "right"])
         >>> halves.names[halves.locate(np.array([3.0]))]
         'right'
     """
 
-    H: Array
-    h: Array
-    signs: IntArray
-    names: tuple[str, ...]
+    H: Array  # normals of the hyperplanes, (k, n): the doubles nearest to `exact_H`
+    h: Array  # offsets of the hyperplanes, (k,): likewise
+    signs: IntArray  # side of each hyperplane that each cell is on, (l, k), entries −1, 0, 1
+    names: tuple[str, ...]  # name of each cell, l of them
+    # as they were written, of a ball the middle; beyond 1e±100 over the largest entry
     exact_H: tuple[tuple[Fraction, ...], ...]
-    exact_h: tuple[Fraction, ...]
-    complete: bool = False
-    repair: float = 0.0
-    remarks: tuple[str, ...] = ()
+    exact_h: tuple[Fraction, ...]  # likewise
+    complete: bool = False  # whether they are all regions of the hyperplanes, by construction: nothing is left to prove
+    repair: float = 0.0  # largest change of a border that two cells write with different roundings, of its numbers
+    remarks: tuple[str, ...] = ()  # what was noticed when it was made
 
     @classmethod
     def create(cls, *, H: object, h: object, signs: object, names: Sequence[str]) -> "Partition":
         """Check the shapes, merge hyperplanes that are the same set, and return the partition.
 
-        Hyperplanes whose numbers differ by at most 1e-12 of themselves are merged too, where no cell is between them:
-        the first one stands for both, and a remark says so.
+        H is (k, n), h (k,), signs (l, k): int, Fraction, `Real`, or float, which means the decimal that it is printed
+        as. Hyperplanes whose numbers differ by at most 1e-12 of themselves are merged too, where no cell is between
+        them: the first one stands for both, and a remark says so.
 
-        Args:
-            H: Normals, (k, n): int, Fraction, `Real`, or float, which means the decimal that it is printed as.
-            h: Offsets, (k,).
-            signs: (l, k).
-            names: l of them.
-
-        Raises:
-            ValueError: If the shapes do not fit, a number is not finite or a hyperplane has a zero normal.
-            InvalidSpec: If an offset is beyond the range of a double.
+        Raises ValueError if the shapes do not fit, a number is not finite or a normal is 0; InvalidSpec for an offset
+        beyond the range of a double.
         """
         cell_names = tuple(names)
         sign_table = np.array(signs, dtype=np.int64).reshape(len(cell_names), -1)
@@ -111,17 +94,10 @@ class Partition:
 
     @classmethod
     def regions(cls, *, H: object, h: object, most: int) -> "Partition":
-        """Return all regions that some hyperplanes cut ℝⁿ into, as cells without names.
+        """Return all regions that some hyperplanes cut ℝⁿ into, as cells without names; InvalidSpec for too many.
 
         They cover ℝⁿ and do not overlap, as each is the set of all x with its signs; two of them share a facet if
         and only if they differ in one sign. Hyperplanes are merged only where they are exactly the same.
-
-        Raises InvalidSpec if there are more than `most`.
-
-        Example: three lines through one point.
-
-            >>> len(Partition.regions(H=[[1, 0], [0, 1], [1, 1]], h=[0, 0, 0], most=100).signs)
-            6
         """
         planes, n = _exact_planes(H, h, None)
         kept: dict[Row, list[Fraction]] = {}
@@ -132,9 +108,7 @@ class Partition:
             found = arrangement([primitive(plane) for plane in planes], most)
         except TooMany:
             message = f"{len(planes)} hyperplanes make more than {most:,} cells"
-            raise InvalidSpec(
-                Problem(message=message, subject=(ProblemPart.PLANT,), hint="fewer nonlinearities")
-            ) from None
+            raise InvalidSpec(message, subject=(ProblemPart.PLANT,), hint="fewer nonlinearities") from None
         bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.regions], dtype=np.int64)
         signs = 2 * bits.reshape(len(found.regions), len(planes)) - 1
         return replace(cls._of(planes, n, signs, ("",) * len(signs)), complete=True)
@@ -211,13 +185,7 @@ class Partition:
         return replace(self, signs=_frozen(self.signs[order]), names=names)
 
     def sides(self, *, H: object, h: object) -> IntArray:
-        """Return the side of some hyperplanes that each cell is on, (l, k); they must be among those of the partition.
-
-        Example:
-            >>> halves = Partition.regions(H=[[1]], h=[-1], most=2)
-            >>> (halves.sides(H=[[-2], [3]], h=[2, -3]) * halves.signs).tolist()
-            [[-1, 1], [-1, 1]]
-        """
+        """Return the side of some hyperplanes of the partition that each cell is on, (l, k)."""
         own = [oriented(row) for row in self.rows]
         numbers = {plane: k for k, (plane, _) in enumerate(own)}
         given = [oriented(primitive(plane)) for plane in _exact_planes(H, h, None)[0]]

@@ -15,34 +15,25 @@ Method = Literal["corrected", "emulated", "euler"]
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """Independent normal noise on the outputs, drawn anew at every multiple of a sample time and held in between.
+    """Independent normal noise on the outputs, drawn anew at every multiple of a sample time and held in between."""
 
-    Attributes:
-        std: Standard deviation of each output, (q,).
-        sample_time: In s.
-        seed: The same seed gives the same noise.
-    """
-
-    std: Array
-    sample_time: float
-    seed: int = 1
+    std: Array  # standard deviation of each output, (q,)
+    sample_time: float  # in s
+    seed: int = 1  # the same seed gives the same noise
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
     """The controller as a program that runs once in a sample time.
 
-    Attributes:
-        sample_time: In s.
-        method: "corrected" predicts, and corrects with what is measured in the tick in which it acts, with gains for
-            this sample time. The others step the observer (18) on under the held y, in the cell it is in: "emulated"
-            is exact for what the controller knows, "euler" is one explicit Euler step.
-        delay: How many sample times an input is put out after what it is computed from was measured.
+    "corrected" predicts, and corrects with what is measured in the tick in which it acts, with gains for this sample
+    time. The others step the observer (18) on under the held y, in the cell it is in: "emulated" is exact for what the
+    controller knows, "euler" is one explicit Euler step.
     """
 
-    sample_time: float
+    sample_time: float  # in s
     method: Method = "corrected"
-    delay: int = 0
+    delay: int = 0  # how many sample times an input is put out after what it is computed from was measured
 
     @property
     def corrects(self) -> bool:
@@ -57,14 +48,10 @@ class Sampling:
 
 @dataclass(frozen=True, kw_only=True)
 class Quanta:
-    """What is put out and what is measured are whole multiples of a quantum, to the nearest; 0 for any value.
+    """What is put out and what is measured are whole multiples of a quantum, to the nearest; 0 for any value."""
 
-    Attributes:
-        inputs, outputs: In the unit of the signal, (m,) and (q,).
-    """
-
-    inputs: Array
-    outputs: Array
+    inputs: Array  # in the unit of the signal, (m,)
+    outputs: Array  # (q,)
 
     def measured(self, y: Array) -> Array:
         """Return outputs as they are measured, (q,)."""
@@ -76,26 +63,17 @@ class Quanta:
 class Conditions:
     """What is not as the theorems assume. With nothing given, the loop is the nominal one.
 
-    Attributes:
-        plant: The plant that runs, where its parameters are not those of the design.
-        parameters: The parameters that are changed in it.
-        limits: Lower and upper limit of each input, (m, 2), or None. What is beyond them the actuator cuts off, and the
-            observer knows it: it is given the input that the plant gets.
-        disturbance: Signals added to ẋ, one per state.
-        noise: Noise added to the measured outputs.
-        sampling: Where the controller is sampled.
-        quanta: Of inputs and measured outputs, of a controller that is sampled.
-        rates: By how much each input may change in a second, likewise, (m,); infinite where there is no limit.
+    What is beyond a limit the actuator cuts off, and the observer knows it: it is given the input that the plant gets.
     """
 
-    plant: PWASystem | None = None
-    parameters: Mapping[str, float] | None = None
-    limits: Array | None = None
-    disturbance: Exosystem | None = None
+    plant: PWASystem | None = None  # the plant that runs, where its parameters are not those of the design
+    parameters: Mapping[str, float] | None = None  # the parameters that are changed in it
+    limits: Array | None = None  # lower and upper limit of each input, (m, 2)
+    disturbance: Exosystem | None = None  # signals added to ẋ, one per state
     noise: Noise | None = None
-    sampling: Sampling | None = None
-    quanta: Quanta | None = None
-    rates: Array | None = None
+    sampling: Sampling | None = None  # where the controller is sampled
+    quanta: Quanta | None = None  # of inputs and measured outputs, of a controller that is sampled
+    rates: Array | None = None  # by how much each input may change in a second, (m,); infinite for no limit
 
     def texts(self, plant: PWASystem) -> list[str]:
         """Say what is not as the theorems assume, each in a few words; `plant` has the names."""

@@ -19,34 +19,22 @@ _MOST_CYCLES = 2_000  # tree edges times other facets: with more, facets that do
 
 @dataclass(frozen=True, kw_only=True)
 class Discontinuity:
-    """What is left of F_i − F_j − g G on a facet.
-
-    Attributes:
-        facet: Where.
-        A, b: (n, n) and (n,).
-        relative: The largest row of it, of the terms of that row at a point of the facet of typical size.
-    """
+    """What is left of F_i − F_j − g G on a facet."""
 
     facet: Facet
-    A: Array
-    b: Array
-    relative: float
+    A: Array  # (n, n)
+    b: Array  # (n,)
+    relative: float  # the largest row of it, of the terms of that row at a point of the facet of typical size
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repair:
-    """By how much the data were changed to make the field exactly continuous.
+    """By how much the data were changed to make the field exactly continuous."""
 
-    Attributes:
-        A, b: The largest change of each entry over the cells, (n, n) and (n,).
-        B: The change of each entry, (n, m).
-        relative: The largest change of a row, of the terms of that row; see `Discontinuity`.
-    """
-
-    A: Array
-    b: Array
-    B: Array
-    relative: float
+    A: Array  # the largest change of each entry over the cells, (n, n)
+    b: Array  # likewise, (n,)
+    B: Array  # the change of each entry, (n, m)
+    relative: float  # the largest change of a row, of the terms of that row; see `Discontinuity`
 
     def and_then(self, other: "Repair | None") -> "Repair":
         """Return both repairs as one."""
@@ -61,11 +49,7 @@ class Repair:
         return f"at most {self.relative:.1e} of the terms of an equation"
 
     def disturbance(self, x: Array, u: Array) -> Array:
-        """Return by how much ẋ may differ between the data given and the repaired ones, (n,).
-
-        Args:
-            x, u: As large as the states and inputs are at most, (n,) and (m,).
-        """
+        """Return by how much ẋ may differ between both, (n,), for |x| and |u| that are at most these, (n,) and (m,)."""
         return np.asarray(self.A @ np.abs(x) + self.b + self.B @ np.abs(u))
 
 
@@ -80,19 +64,11 @@ class Discontinuous(Exception):
 def repaired(
     partition: Partition, given: Sequence[Rational], inputs: int, tolerance: float
 ) -> tuple[Sequence[Rational], Repair | None]:
-    """Return F_i = [A_i b_i] of an exactly continuous field, which differ from those given by rounding at most.
+    """Return F_i = [A_i b_i], (n, n + 1), of an exactly continuous field: those given but for rounding.
 
-    Where every facet is continuous already nothing is changed. Otherwise F̃_j = F̃_i + g G along a tree of facets; where
-    the others do not close then, the g are projected to the nearest ones with which they do.
-
-    Args:
-        partition: The cells.
-        given: F_i, (n, n + 1) each.
-        inputs: How many there are; their matrix stays as it is.
-        tolerance: How much a row may change, of its own terms at a facet.
-
-    Raises:
-        Discontinuous: With every facet at which it jumps by more.
+    Where every facet is continuous already nothing is changed. Otherwise F̃_j = F̃_i + g G along a tree of facets;
+    where the others do not close then, the g are projected to the nearest ones with which they do. A row may change by
+    the tolerance, of its own terms at a facet. Raises `Discontinuous` with every facet at which it jumps by more.
     """
     lines = ([*H, h] for H, h in zip(partition.exact_H, partition.exact_h, strict=True))
     planes = [rational([line], (1, len(line))) for line in lines]  # [Hᵀ h]

@@ -9,7 +9,7 @@ import numpy as np
 from pwatrack.arrays import TINY, Array, balancing, number_text
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.causes import ProblemPart, Remedy, Way
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, unsure
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import is_positive_definite, stacked
@@ -74,12 +74,10 @@ def too_few_inputs(plant: PWASystem) -> OutsideTheory:
     """Return the refusal of more tracked outputs than inputs."""
     m, p = plant.B.shape[1], len(plant.tracked)
     return OutsideTheory(
-        Problem(
-            message=f"output tracking (Theorem 3) needs as many inputs as tracked outputs, the plant has {m} and {p}",
-            subject=(ProblemPart.PLANT,),
-            hint="say which of them follow the reference",
-            remedy=Remedy(Way.TRACKED, (", ".join(plant.tracked_names[:m]),)),
-        )
+        f"output tracking (Theorem 3) needs as many inputs as tracked outputs, the plant has {m} and {p}",
+        subject=(ProblemPart.PLANT,),
+        hint="say which of them follow the reference",
+        remedy=Remedy(Way.TRACKED, (", ".join(plant.tracked_names[:m]),)),
     )
 
 
@@ -96,13 +94,11 @@ def _dependent(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, ce
     )
     where = f" in cell '{plant.cell_names[cell]}'" if any(d.piecewise for d in found) else ""
     return OutsideTheory(
-        Problem(
-            message=f"not of form (11): the inputs do not act on {_listed(names)} independently{where}: {rows}, so the "
-            "decoupling matrix is singular",
-            subject=(ProblemPart.B,),
-            hint="track another output or add an actuator",
-            remedy=Remedy(Way.STATE_TRACKING),
-        )
+        f"not of form (11): the inputs do not act on {_listed(names)} independently{where}: {rows}, so the "
+        "decoupling matrix is singular",
+        subject=(ProblemPart.B,),
+        hint="track another output or add an actuator",
+        remedy=Remedy(Way.STATE_TRACKING),
     )
 
 
@@ -115,14 +111,12 @@ def _folded(plant: PWASystem, found: Sequence[Derivatives], D: Sequence[BallMatr
     what = "C A^(r - 1) B" if len(found) == 1 else "the determinant of the decoupling matrix"
     turned = "so it has not one sign" if sizes[low] * sizes[high] <= 0 else "and between them it may be 0"
     return OutsideTheory(
-        Problem(
-            message=f"not of form (11): the last derivative of {names} depends on the cell, and inputs do not move it "
-            f"the same way in all: {what} is {figures[0]} in cell '{plant.cell_names[low]}' and {figures[1]} in "
-            f"'{plant.cell_names[high]}', {turned}",
-            subject=(ProblemPart.B,),
-            hint="track another output",
-            remedy=Remedy(Way.STATE_TRACKING),
-        )
+        f"not of form (11): the last derivative of {names} depends on the cell, and inputs do not move it "
+        f"the same way in all: {what} is {figures[0]} in cell '{plant.cell_names[low]}' and {figures[1]} in "
+        f"'{plant.cell_names[high]}', {turned}",
+        subject=(ProblemPart.B,),
+        hint="track another output",
+        remedy=Remedy(Way.STATE_TRACKING),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import EPS, Array, number_text
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.causes import ProblemPart, Remedy, Way
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.pwa import Matrices, PWASystem
 
 _ZERO = 0.5  # of the worst rounding error, below which an entry of c B counts as 0
@@ -17,19 +17,12 @@ _ROUNDING = 1e-10  # relative size below which an entry computed from the data c
 
 @dataclass(frozen=True, kw_only=True)
 class Derivatives:
-    """Rows with y⁽ᵏ⁾ = c_k x + o_k for k < r, the first of which that an input reaches is the last.
+    """Rows with y⁽ᵏ⁾ = c_k x + o_k for k < r, the first of which that an input reaches is the last."""
 
-    Attributes:
-        rows: c_0 … c_{r−1}, (r, n); the last that of the first cell.
-        piecewise: Whether c_{r−1} is another one in other cells.
-        last: c_{r−1} in each cell, (l, n).
-        doubt: By how much rounding may have moved the entries of c_{r−1} B, (m,).
-    """
-
-    rows: Array
-    piecewise: bool
-    last: Array
-    doubt: Array
+    rows: Array  # c_0 … c_{r−1}, (r, n); the last that of the first cell
+    piecewise: bool  # whether c_{r−1} is another one in other cells
+    last: Array  # c_{r−1} in each cell, (l, n)
+    doubt: Array  # by how much rounding may have moved the entries of c_{r−1} B, (m,)
 
     @property
     def degree(self) -> int:
@@ -66,12 +59,10 @@ def output_derivatives(plant: PWASystem, j: int) -> Derivatives:
             break
         rows.append(c)
     raise OutsideTheory(
-        Problem(
-            message=f"no relative degree in cell '{plant.cell_names[0]}': no input ever reaches the output '{name}'",
-            subject=(ProblemPart.B,),
-            hint="track another output or add an actuator",
-            remedy=Remedy(Way.STATE_TRACKING),
-        )
+        f"no relative degree in cell '{plant.cell_names[0]}': no input ever reaches the output '{name}'",
+        subject=(ProblemPart.B,),
+        hint="track another output or add an actuator",
+        remedy=Remedy(Way.STATE_TRACKING),
     )
 
 
@@ -103,25 +94,21 @@ def _check_reached(plant: PWASystem, name: str, order: int, rows: Array, error: 
     names = plant.cell_names
     reach = "before an input enters" if missed.all() else f"and no input enters it in '{names[one]}'"
     raise OutsideTheory(
-        Problem(
-            message=f"not of form (11): row C A^{order} differs between cells '{names[one]}' and "
-            f"'{names[other]}' {reach}: entry '{plant.states[column]}' is {entries}, so derivative "
-            f"{order + 1} of '{name}' jumps on {plant.hyperplane_text(facet.k)}, whatever the input does",
-            subject=(ProblemPart.C if plant.tracked_names == plant.outputs else ProblemPart.TRACKED,),
-            hint="another output may have the same derivatives in every cell",
-            remedy=Remedy(Way.STATE_TRACKING),
-        )
+        f"not of form (11): row C A^{order} differs between cells '{names[one]}' and "
+        f"'{names[other]}' {reach}: entry '{plant.states[column]}' is {entries}, so derivative "
+        f"{order + 1} of '{name}' jumps on {plant.hyperplane_text(facet.k)}, whatever the input does",
+        subject=(ProblemPart.C if plant.tracked_names == plant.outputs else ProblemPart.TRACKED,),
+        hint="another output may have the same derivatives in every cell",
+        remedy=Remedy(Way.STATE_TRACKING),
     )
 
 
 def unsure(what: str, doubt: float) -> OutsideTheory:
     """Return the refusal of a relative degree that rounding leaves open."""
     return OutsideTheory(
-        Problem(
-            message=f"the relative degree is not sure: {what} may be rounding, which can reach {doubt:.3g}",
-            subject=(ProblemPart.B,),
-            hint="write the plant in states of similar size that act on each other directly",
-        )
+        f"the relative degree is not sure: {what} may be rounding, which can reach {doubt:.3g}",
+        subject=(ProblemPart.B,),
+        hint="write the plant in states of similar size that act on each other directly",
     )
 
 

@@ -15,18 +15,11 @@ _ROUNDING = Fraction(1, 10**12)  # of its own numbers, up to which a border is t
 
 @dataclass(frozen=True, kw_only=True)
 class SharedHyperplanes:
-    """Which hyperplanes are kept, and the sides of these that the cells claim.
+    """Which hyperplanes are kept, and the sides of these that the cells claim."""
 
-    Attributes:
-        kept: Numbers of the hyperplanes that stand for all, in ascending order.
-        signs: (l, k), for those that are kept.
-        repairs: Hyperplanes (k, other, by how much of its numbers k differs) for which another one stands that is
-            not exactly the same.
-    """
-
-    kept: tuple[int, ...]
-    signs: IntArray
-    repairs: tuple[tuple[int, int, Fraction], ...] = ()
+    kept: tuple[int, ...]  # numbers of the hyperplanes that stand for all, in ascending order
+    signs: IntArray  # (l, k), for those that are kept
+    repairs: tuple[tuple[int, int, Fraction], ...] = ()  # (k, other, by how much of its numbers k differs), not 0
 
 
 def merge(rows: Sequence[Row], signs: IntArray) -> SharedHyperplanes:
@@ -105,16 +98,7 @@ def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Shar
 
 
 def difference(one: Row, other: Row) -> Fraction | None:
-    """Return by how much of themselves the numbers of two hyperplanes differ at most, or None if it is not rounding.
-
-    Independent of the units of the states and of a factor of the equations.
-
-    Example:
-        >>> difference((10**13, 0, 1), (-(10**13) - 1, 0, -1))
-        Fraction(1, 10000000000000)
-        >>> difference((1, 0, 1), (1, 1, 1)) is None
-        True
-    """
+    """Return by how much of themselves the numbers of two hyperplanes differ at most, in any units; None if by more."""
     if any((a == 0) != (b == 0) for a, b in zip(one, other, strict=True)):
         return None
     ratios = [Fraction(a, b) for a, b in zip(one, other, strict=True) if b]
@@ -126,7 +110,6 @@ def difference(one: Row, other: Row) -> Fraction | None:
 
 
 def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
-    """Return the pairs of hyperplanes that differ by rounding."""
     logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
     found = []
     for k in range(len(rows) - 1):

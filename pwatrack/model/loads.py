@@ -15,17 +15,11 @@ from pwatrack.real import Real
 
 @dataclass(frozen=True, kw_only=True)
 class Load:
-    """d added to ẋ with a factor for each state; d is constant, or a sinusoid, of unknown size and phase.
-
-    Attributes:
-        name: For reports.
-        into: Factors by the number of the state.
-        frequency: In rad/s; 0 for a constant.
-    """
+    """d added to ẋ with a factor for each state; d is constant, or a sinusoid, of unknown size and phase."""
 
     name: str
-    into: Mapping[int, Real]
-    frequency: Real = Real(Fraction(0))  # noqa: RUF009 - it is frozen
+    into: Mapping[int, Real]  # factors by the number of the state
+    frequency: Real = Real(Fraction(0))  # in rad/s; 0 for a constant  # noqa: RUF009 - it is frozen
 
     @property
     def order(self) -> int:
@@ -36,11 +30,6 @@ class Load:
 @dataclass(frozen=True, kw_only=True)
 class Loads:
     """All loads together: ẋ = A_i x + b_i + B u + E s with ṡ = S s; d_k is the entry `where[k]` of s.
-
-    Attributes:
-        each: The loads.
-        E: (n, p).
-        S: (p, p), in 1/s; a sinusoid is d' = ω a, a' = −ω d.
 
     Example: a constant on the first of two states, and a sinusoid of 3 rad/s on the second.
 
@@ -53,8 +42,8 @@ class Loads:
     """
 
     each: tuple[Load, ...]
-    E: BallMatrix
-    S: BallMatrix
+    E: BallMatrix  # (n, p)
+    S: BallMatrix  # (p, p), in 1/s; a sinusoid is d' = ω a, a' = −ω d
 
     @classmethod
     def of(cls, loads: Sequence[Load], *, states: int) -> "Loads":
@@ -87,14 +76,7 @@ class Loads:
         return tuple(tuple(range(k, k + load.order)) for k, load in zip(self.where, self.each, strict=True))
 
     def inputs(self, B: BallMatrix) -> tuple[int, ...] | None:
-        """Return the input of B (n, m) that each load is added to, if all are constants added to inputs, exactly.
-
-        Example:
-            >>> from pwatrack.real import Real
-            >>> loads = Loads.of([Load(name="push", into={1: Real.of(2)})], states=2)
-            >>> loads.inputs(BallMatrix.of([[1, 0], [0, 2]])), loads.inputs(BallMatrix.of([[1, 0], [0, 3]]))
-            ((1,), None)
-        """
+        """Return the input of B (n, m) that each load is added to, if all are constants added to inputs, exactly."""
         (n, m), found = B.shape, []
         if self.E.radius is not None or B.radius is not None or len(self.where) < self.S.shape[0]:
             return None

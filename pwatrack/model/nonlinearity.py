@@ -26,22 +26,16 @@ _MOST_CELLS = 100_000  # that nonlinearities may make together: a gigabyte with 
 class PiecewiseLinear:
     """A continuous scalar function φ, linear between breakpoints.
 
-    Attributes:
-        breakpoints: Increasing, k of them.
-        slopes: k + 1 of them, from left to right.
-        value: φ at the first breakpoint.
-        segments: A name for each of the k + 1 segments.
-
     Example:
         >>> clip = saturation(lower=-1.0, upper=2.0, slope=3.0)
         >>> [clip(s) for s in (-5.0, 0.5, 9.0)]
         [-3.0, 1.5, 6.0]
     """
 
-    breakpoints: tuple[Real, ...]
-    slopes: tuple[Real, ...]
-    value: Real
-    segments: tuple[str, ...]
+    breakpoints: tuple[Real, ...]  # increasing, k of them
+    slopes: tuple[Real, ...]  # k + 1 of them, from left to right
+    value: Real  # φ at the first breakpoint
+    segments: tuple[str, ...]  # a name for each of the k + 1 segments
 
     def __call__(self, s: float) -> float:
         """Return φ(s)."""
@@ -94,8 +88,7 @@ def piecewise_linear(
 ) -> PiecewiseLinear:
     """Return φ with free breakpoints and slopes; without `value` at the first breakpoint, φ(0) = 0.
 
-    Raises:
-        ValueError: If the breakpoints do not increase or there is not one slope more than breakpoints.
+    Raises ValueError if the breakpoints do not increase or there is not one slope more than breakpoints.
     """
     names = tuple(f"segment {k + 1}" for k in range(len(slopes)))
     function = _function(breakpoints, slopes, 0 if value is None else value, names)
@@ -125,20 +118,14 @@ def _function(
 class Nonlinearity:
     """Adds direction · φ(row · x + constant) to ẋ.
 
-    Attributes:
-        name: For the names of the cells.
-        function: φ.
-        row, constant: The linear form, (n,) and a scalar.
-        direction: (n,).
-
     All numbers are `Real`, fractions, or doubles, which count as the decimals that they print as.
     """
 
-    name: str
-    function: PiecewiseLinear
-    row: Any
-    constant: Number
-    direction: Any
+    name: str  # for the names of the cells
+    function: PiecewiseLinear  # φ
+    row: Any  # of the linear form, (n,)
+    constant: Number  # of the linear form
+    direction: Any  # (n,)
 
     def on(self, segment: int) -> tuple[BallMatrix, BallMatrix]:
         """Return what it adds to A, (n, n), and to b, (n, 1), on a segment of φ."""
@@ -150,15 +137,10 @@ class Nonlinearity:
 
 @dataclass(frozen=True, kw_only=True)
 class ScalarForm:
-    """The field A x + b + Σ direction φ(row · x + constant).
+    """The field A x + b + Σ direction φ(row · x + constant)."""
 
-    Attributes:
-        A, b: (n, n) and (n, 1).
-        elements: The terms of the sum.
-    """
-
-    A: BallMatrix
-    b: BallMatrix
+    A: BallMatrix  # (n, n)
+    b: BallMatrix  # (n, 1)
     elements: tuple[Nonlinearity, ...]
 
     @cached_property
@@ -172,15 +154,7 @@ class ScalarForm:
 
     @cached_property
     def corners(self) -> tuple[int, ...]:
-        """The cells at the corners of the box of slopes, where `product` holds: each A_i is a mean of theirs.
-
-        Example:
-            >>> stop = Nonlinearity(name="stop", function=dead_zone(lower=-1, upper=1, upper_slope=3), row=[1, 0],
-            ...                     constant=0, direction=[0, -1])
-            >>> form = ScalarForm(A=BallMatrix.of([[0, 1], [-1, -1]]), b=BallMatrix.of([[0], [0]]), elements=(stop,))
-            >>> form.product, form.corners
-            (True, (1, 2))
-        """
+        """The cells at the corners of the box of slopes, where `product` holds: each A_i is a mean of theirs."""
         counts = [len(element.function.slopes) for element in self.elements]
         cells = itertools.product(*(element.function.ends for element in self.elements))
         return tuple(int(np.ravel_multi_index(cell, counts)) for cell in cells)
@@ -190,18 +164,8 @@ def drives_away(A: Array, element: Nonlinearity) -> list[int]:
     """Return the states through which an element drives what it looks at away from where it acts.
 
     With s = row · x + constant and row · direction = 0, φ(s) enters s̈ through row A direction, the sum over the states
-    that it drives. Where one of these terms has the sign of φ's slope, the element drives s away through that state.
-
-    Args:
-        A: (n, n), without the elements.
-        element: What is looked at. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
-
-    Example: a spring of stiffness 4 that looks at z1 and pushes v1 on instead of back.
-
-        >>> push = Nonlinearity(name="stop", function=spring(slope=4.0), row=np.array([1.0, 0.0]), constant=0.0,
-        ...                     direction=np.array([0.0, 1.0]))
-        >>> drives_away(np.array([[0.0, 1.0], [0.0, 0.0]]), push)
-        [1]
+    that it drives; A (n, n) is without the elements. Where one of these terms has the sign of φ's slope, the element
+    drives s away through that state. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
     """
     slopes, row, d = (
         np.array([float(v) for v in values]) for values in (element.function.slopes, element.row, element.direction)
@@ -220,10 +184,7 @@ def generate_cells(
     """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant).
 
     One cell for each combination of segments that has an interior: the regions that the hyperplanes of all
-    breakpoints cut ℝⁿ into. The field is continuous by construction, exactly.
-
-    Raises:
-        InvalidSpec: If there are more than 100,000 cells.
+    breakpoints cut ℝⁿ into. The field is continuous by construction, exactly. Raises InvalidSpec for too many cells.
     """
     if not nonlinearities:
         return Partition.create(H=np.zeros((0, len(b.floats))), h=[], signs=[[]], names=["everywhere"]), [A], [b]

@@ -14,7 +14,7 @@ matrix; for one output and input that says that all δ_i have one sign.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 
@@ -38,38 +38,26 @@ class NormalForm:
         ξ̇_jk = ξ_j(k+1) for k < r_j,   (ξ̇_jr_j)_j = α_i ξ + β_i η + γ_i + D_i u,
         η̇ = χ_i ξ + Ψ_i η + σ_i  for u = Z v,   y_j = ξ_j1.
 
-    Attributes:
-        plant: The system this is the normal form of, exactly: where c_k A_i differ between cells by rounding, or
-            c_k B is rounding, the plant given is repaired.
-        degrees: Relative degree of each tracked output, p of them.
-        piecewise: Of each tracked output, whether its last derivative in ξ is another form in other cells.
-        exact: T_i, o_i and A_ηi, exactly.
-        T, offset: Change of state, (l, n, n) and (l, n).
-        T_inverse: Its inverse, x = T_inverse_i ([ξ; η] − o_i), (l, n, n).
-        alpha, beta, gamma: (l, p, r), (l, p, n − r), (l, p).
-        D: Decoupling matrix, (l, p, m).
-        right_inverse: Z (D_i Z)⁻¹, (l, m, p): inputs that make one of y⁽ʳ⁾ 1, and nothing else.
-        chi, Psi, sigma: (l, n − r, r), (l, n − r, n − r), (l, n − r).
-        eta_names: What each η is, in the names of the states.
-        boundary: The cells of the plant, as those of (ξ, η).
+    The plant is the one that has this form exactly: where c_k A_i differ between cells by rounding, or c_k B is
+    rounding, the plant given is repaired.
     """
 
     plant: PWASystem
-    degrees: tuple[int, ...]
-    piecewise: tuple[bool, ...]
-    exact: "ExactForm"
-    T: Array
-    offset: Array
-    T_inverse: Array
-    alpha: Array
-    beta: Array
-    gamma: Array
-    D: Array
-    right_inverse: Array
-    chi: Array
-    Psi: Array
-    sigma: Array
-    eta_names: tuple[str, ...]
+    degrees: tuple[int, ...]  # relative degree of each tracked output, p of them
+    piecewise: tuple[bool, ...]  # of each tracked output, whether its last derivative in ξ is another form elsewhere
+    exact: "ExactForm"  # T_i, o_i and A_ηi
+    T: Array  # (l, n, n)
+    offset: Array  # (l, n)
+    T_inverse: Array  # x = T_inverse_i ([ξ; η] − o_i), (l, n, n)
+    alpha: Array  # (l, p, r)
+    beta: Array  # (l, p, n − r)
+    gamma: Array  # (l, p)
+    D: Array  # decoupling matrix, (l, p, m)
+    right_inverse: Array  # Z (D_i Z)⁻¹, (l, m, p): inputs that make one of y⁽ʳ⁾ 1, and nothing else
+    chi: Array  # (l, n − r, r)
+    Psi: Array  # (l, n − r, n − r)
+    sigma: Array  # (l, n − r)
+    eta_names: tuple[str, ...]  # what each η is, in the names of the states
 
     @property
     def r(self) -> int:
@@ -118,24 +106,15 @@ class NormalForm:
 
 @dataclass(frozen=True, kw_only=True)
 class ExactForm:
-    """What of a normal form proofs are about.
+    """What of a normal form proofs are about."""
 
-    Attributes:
-        T, offset: [ξ; η] = T x + offset, (n, n) and (n, 1), one per cell.
-        inverse: Those of T.
-        directions: Z, (m, p).
-        scales: The diagonal of S.
-        internal: The states j of the rows N = e_j − (B Z (D_1 Z)⁻¹)_j C_1 of T, n − r of them.
-        A_eta: (n − r, n − r), one per cell.
-    """
-
-    T: tuple[BallMatrix, ...]
-    offset: tuple[BallMatrix, ...]
-    inverse: tuple[BallMatrix, ...]
-    directions: BallMatrix
-    scales: tuple[float, ...]
-    internal: tuple[int, ...]
-    A_eta: tuple[BallMatrix, ...] = ()
+    T: tuple[BallMatrix, ...]  # [ξ; η] = T x + offset, (n, n), one per cell, as are all
+    offset: tuple[BallMatrix, ...]  # (n, 1)
+    inverse: tuple[BallMatrix, ...]  # those of T
+    directions: BallMatrix  # Z, (m, p)
+    scales: tuple[float, ...]  # the diagonal of S
+    internal: tuple[int, ...]  # the states j of the rows N = e_j − (B Z (D_1 Z)⁻¹)_j C_1 of T, n − r of them
+    A_eta: tuple[BallMatrix, ...] = ()  # (n − r, n − r), one per cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,15 +122,11 @@ class Boundary:
     """Hyperplanes of (ξ, η) that bound cells: H [ξ; η] + h = 0.
 
     Where a last derivative is piecewise affine, a hyperplane of x is one of several pieces here.
-
-    Attributes:
-        H, h: (k, n) and (k,).
-        signs: Side of each that a cell is on, 0 where that does not bound it, (l, k).
     """
 
-    H: Array
-    h: Array
-    signs: IntArray
+    H: Array  # (k, n)
+    h: Array  # (k,)
+    signs: IntArray  # side of each that a cell is on, 0 where that does not bound it, (l, k)
 
 
 def normal_form(
@@ -160,12 +135,8 @@ def normal_form(
     """Bring a system to the form (11) by a change of state, linear but for the last derivatives.
 
     Refuses fewer inputs than tracked outputs, y, ẏ, … that depend on the cell before inputs appear or in which these
-    never do, and inputs that do not act on the outputs independently, in each cell or in some mean of them.
-
-    Args:
-        plant: The system (1).
-        input_sizes: Of the inputs, (m,); where there are more than tracked outputs, u_ff is the least in them.
-        directions: Z, (m, p), instead.
+    never do, and inputs that do not act on the outputs independently, in each cell or in some mean of them. Where there
+    are more inputs than tracked outputs, u_ff is the least in `input_sizes` (m,), or along the `directions` Z (m, p).
     """
     if len(plant.tracked) > plant.B.shape[1]:
         raise too_few_inputs(plant)
@@ -229,7 +200,7 @@ def _coordinates(
     """Return T and the offset of each cell: the rows c_k of each output, then e_j − (B Z (D Z)⁻¹)_j C for states j."""
     n, last = exact.A[0].shape[0], last_rows(found)
     before, offsets = exact_rows(exact, found)
-    C = _stacked([before[k] for k in last])
+    C = above(*(before[k] for k in last))
     share = exact.B @ Z @ (C @ exact.B @ Z).inverse()
     units = BallMatrix.of(np.eye(n))
     N = [units.part([j], range(n)) - share.part([j], range(len(last))) @ C for j in internal]
@@ -238,17 +209,12 @@ def _coordinates(
 
     def assembled(rows: list[BallMatrix], X: BallMatrix, below: list[BallMatrix]) -> BallMatrix:
         """Put the rows c X of a cell in the place of the last derivatives that differ from cell to cell."""
-        return _stacked([before[k - 1] @ X if k in bent else row for k, row in enumerate(rows)] + below)
+        return above(*(before[k - 1] @ X if k in bent else row for k, row in enumerate(rows)), *below)
 
     if not bent:
-        return [_stacked(before + N)] * len(exact.A), [_stacked(offsets + nothing)] * len(exact.A)
+        return [above(*before, *N)] * len(exact.A), [above(*offsets, *nothing)] * len(exact.A)
     T = each(lambda A_i: assembled(before, A_i, N), exact.A)
     return T, each(lambda b_i: assembled(offsets, b_i, nothing), exact.b)
-
-
-def _stacked(rows: Sequence[BallMatrix]) -> BallMatrix:
-    """Return matrices below each other."""
-    return reduce(above, rows)
 
 
 def _repaired(plant: PWASystem, found: Sequence[Derivatives], Z: BallMatrix, internal: Sequence[int]) -> PWASystem:

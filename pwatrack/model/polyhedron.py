@@ -14,12 +14,7 @@ Point = tuple[int, ...]
 
 
 def primitive(values: Sequence[Fraction | int]) -> Row:
-    """Return the whole numbers without a common factor that are a positive multiple of some fractions.
-
-    Example:
-        >>> primitive([Fraction(1, 2), Fraction(-1, 3), Fraction(0)])
-        (3, -2, 0)
-    """
+    """Return the whole numbers without a common factor that are a positive multiple of some fractions."""
     common = lcm(*(v.denominator for v in values))
     whole = [v.numerator * (common // v.denominator) for v in values]
     return reduced(tuple(whole))
@@ -122,12 +117,6 @@ def borders(rows: Iterable[Row], n: int) -> tuple[Row, ...] | None:
     """Return those of some inequalities in ℝⁿ that bound their polyhedron, or None if it has no interior.
 
     The answer depends on the polyhedron alone: two with the same borders are the same.
-
-    Example:
-        >>> borders([(1, 0, 0), (0, 1, 0), (-1, -1, 1), (-1, 0, 2)], 2)
-        ((-1, -1, 1), (0, 1, 0), (1, 0, 0))
-        >>> borders([(1, 0), (-1, 0)], 1) is None
-        True
     """
     kept = tightest(rows)
     if kept is None:

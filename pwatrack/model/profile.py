@@ -19,28 +19,14 @@ _FEWEST = 40  # rows: two windows of that filter
 
 
 def low_passed(t: Array, y: Array, cutoff: float) -> tuple[Array, Array]:
-    """Return a coarser table of what is left of samples (t_k, y_k) below a cutoff frequency.
+    """Return a coarser table of what is left of samples (t_k, y_k), (K,), below a cutoff frequency in Hz.
 
     The samples are joined by straight lines and averaged four times over a moving window of 0.2275 / cutoff, centred:
     what is averaged at t is ∫ y(t − s) B(s) ds with a cubic B-spline B. Its gain at f is sinc⁴(0.2275 f / cutoff), so
     0.92 at half of the cutoff, 0.71 at the cutoff, and below 0.3 % for all that is faster than 4.4 times the cutoff.
     Beyond its ends, the table is taken to go on as the cubic that fits it best near that end. There are two points in
-    each window: a spline through them misses nothing that is left, and has any number of derivatives.
-
-    Args:
-        t, y: Times in s, increasing, and values, (K,).
-        cutoff: Where 0.71 of an amplitude is left, in Hz.
-
-    Raises:
-        ValueError: If the filter sees less than two rows at a time, or the whole table.
-
-    Example: noise goes, and what is slow stays.
-
-        >>> t = np.arange(0.0, 10.0, 0.01)
-        >>> noise = np.where(np.arange(1000) % 2, 0.1, -0.1)
-        >>> times, values = low_passed(t, np.sin(t) + noise, cutoff=2.0)
-        >>> bool(np.abs(values - np.sin(times))[4:-4].max() < 0.003), len(times)
-        (True, 177)
+    each window: a spline through them misses nothing that is left, and has any number of derivatives. Raises ValueError
+    if the filter sees less than two rows at a time, or the whole table.
     """
     box = _FALL / cutoff
     width, span, gap = _BOXES * box, float(t[-1] - t[0]), float(np.median(np.diff(t)))
@@ -78,16 +64,11 @@ def _extended(t: Array, y: Array, width: float, gap: float) -> tuple[Array, Arra
 
 
 def smoothed(corners: "scipy.interpolate.PPoly", width: float, times: int) -> "scipy.interpolate.PPoly":
-    """Return a piecewise linear course averaged `times` times over a moving window of width / times.
+    """Return a piecewise linear course averaged `times` times over a moving window of width / times, in s.
 
     Every average adds one continuous derivative. A corner at t_j changes the
     course only for |t − t_j| < width / 2, where a jump of the value becomes the
     integral of a B-spline and a jump of the slope the integral of that.
-
-    Args:
-        corners: Of degree 0 or 1.
-        width: In s.
-        times: At least 1.
     """
     lines = np.vstack([np.zeros((2 - len(corners.c), corners.c.shape[1])), corners.c])  # slope, value
     knots = corners.x[1:-1]
@@ -130,19 +111,12 @@ def _rounded_power(degree: int, start: Array, middle: Array, edges: Array, width
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given.
+    """A piecewise linear or constant course, its corners rounded over a time `smooth` (s) if that is given."""
 
-    Attributes:
-        corners: The course, from well before t = 0.
-        continuous: Whether it is continuous; a step is not.
-        smooth: Width of the moving average, or None.
-        end: Last time at which it is defined, or None if it stays constant.
-    """
-
-    corners: "scipy.interpolate.PPoly"
-    continuous: bool
-    smooth: float | None
-    end: float | None
+    corners: "scipy.interpolate.PPoly"  # the course, from well before t = 0
+    continuous: bool  # whether it is continuous; a step is not
+    smooth: float | None  # width of the moving average, or None
+    end: float | None  # last time at which it is defined, or None if it stays constant
 
     def signal(self, r: int) -> Signal:
         """Return the signal; with `smooth` it has r continuous derivatives, and corners are rounded whatever r is."""
@@ -153,30 +127,20 @@ class Profile:
 
 @dataclass(frozen=True, kw_only=True)
 class Roughness:
-    """What is fast in a derivative of a table.
+    """What is fast in a derivative of a table."""
 
-    Attributes:
-        cutoff: In Hz.
-        whole, left: Largest size of the derivative, and of that of what is slower than the cutoff.
-    """
-
-    cutoff: float
-    whole: float
-    left: float
+    cutoff: float  # in Hz
+    whole: float  # largest size of the derivative
+    left: float  # that of what is slower than the cutoff
 
 
 @dataclass(frozen=True)
 class Table:
-    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed.
+    """Samples (t_k, y_k), joined by a spline with as many continuous derivatives as are needed."""
 
-    Attributes:
-        t, y: Times in s and values, (K,).
-        filtered: Whether what is fast was taken away.
-    """
-
-    t: Array
-    y: Array
-    filtered: bool = False
+    t: Array  # in s, (K,)
+    y: Array  # (K,)
+    filtered: bool = False  # whether what is fast was taken away
 
     @property
     def end(self) -> float:
@@ -234,11 +198,6 @@ Course = Formula | Profile | Table
 
 
 def polyline(t: Sequence[float], y: Sequence[float]) -> "scipy.interpolate.PPoly":
-    """Return the piecewise linear course through (t_k, y_k).
-
-    Example:
-        >>> float(polyline([0.0, 2.0], [1.0, 3.0])(0.5))
-        1.5
-    """
+    """Return the piecewise linear course through (t_k, y_k)."""
     times, values = np.array(t, dtype=np.float64), np.array(y, dtype=np.float64)
     return scipy.interpolate.PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times)

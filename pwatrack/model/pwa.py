@@ -24,20 +24,13 @@ ROUNDING = 1e-12  # of the terms of a row at a facet: a jump up to this is one o
 
 @dataclass(frozen=True, kw_only=True)
 class Matrices:
-    """A_i, b_i, B, C and the tracked rows as written: exactly, or with a ball around each irrational entry.
+    """A_i, b_i, B, C and the tracked rows as written: exactly, or with a ball around each irrational entry."""
 
-    Attributes:
-        A: (n, n), one per cell.
-        b: (n, 1), likewise.
-        B, C: (n, m) and (q, n).
-        tracked: What is to follow a reference, (p, n).
-    """
-
-    A: tuple[BallMatrix, ...]
-    b: tuple[BallMatrix, ...]
-    B: BallMatrix
-    C: BallMatrix
-    tracked: BallMatrix
+    A: tuple[BallMatrix, ...]  # (n, n), one per cell
+    b: tuple[BallMatrix, ...]  # (n, 1), likewise
+    B: BallMatrix  # (n, m)
+    C: BallMatrix  # (q, n)
+    tracked: BallMatrix  # what is to follow a reference, (p, n)
 
     @property
     def exact(self) -> bool:
@@ -47,15 +40,10 @@ class Matrices:
 
 @dataclass(frozen=True, kw_only=True)
 class Observed:
-    """What an observer runs: the plant, or the plant and its loads as one system.
+    """What an observer runs: the plant, or the plant and its loads as one system."""
 
-    Attributes:
-        A: (N, N), one per cell.
-        C: (q, N).
-    """
-
-    A: tuple[BallMatrix, ...]
-    C: BallMatrix
+    A: tuple[BallMatrix, ...]  # (N, N), one per cell
+    C: BallMatrix  # (q, N)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,16 +55,6 @@ class PWASystem:
 
     An instance is continuous and its cells cover ℝⁿ: `create` proves both.
 
-    Attributes:
-        partition: The l cells in ℝⁿ.
-        exact: A_i, b_i, B, C and the tracked rows: the numbers that proofs are about.
-        repair: By how much these differ from the ones given, where those jump at a facet by rounding; else None.
-        states, inputs, outputs, tracked_names: Names, for reports; a tracked form with the name of an output is it.
-        loads: Unknown loads E s that act on it beside these, where an observer shall estimate some.
-        written: The field as a sum of scalar elements, where it was written so.
-        watched: The plant that the observer runs, where that is another one: that of which this one has merged cells.
-        remarks: What was noticed while it was built, and changes nothing.
-
     Example: a mass against a one-sided spring of stiffness 4.
 
         >>> contact = PWASystem.create(
@@ -86,17 +64,17 @@ class PWASystem:
         [0.0, -2.5]
     """
 
-    partition: Partition
-    exact: Matrices
-    states: tuple[str, ...]
+    partition: Partition  # the l cells in ℝⁿ
+    exact: Matrices  # A_i, b_i, B, C and the tracked rows: the numbers that proofs are about
+    states: tuple[str, ...]  # names, for reports
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    tracked_names: tuple[str, ...]
-    repair: Repair | None = None
-    loads: Loads | None = None
-    written: ScalarForm | None = None
-    watched: "PWASystem | None" = None
-    remarks: tuple[str, ...] = ()
+    tracked_names: tuple[str, ...]  # one that is the name of an output is that output
+    repair: Repair | None = None  # by how much these differ from those given, which jump at a facet by rounding
+    loads: Loads | None = None  # unknown loads E s that act on it beside these, where an observer shall estimate some
+    written: ScalarForm | None = None  # the field as a sum of scalar elements, where it was written so
+    watched: "PWASystem | None" = None  # that of which this one has merged cells, where the observer runs it
+    remarks: tuple[str, ...] = ()  # what was noticed while it was built, and changes nothing
 
     @classmethod
     def create(
@@ -117,19 +95,12 @@ class PWASystem:
     ) -> "PWASystem":
         """Build the system and prove that it belongs to the class of eq. (1).
 
-        Args:
-            partition: The l cells.
-            A, b, B, C: Nested sequences or arrays of `Real`, fractions, or doubles, which count as the decimals that
-                they print as; or `BallMatrix` (b_i as a column).
-            tracked: Likewise, rows of what is to follow a reference; None for all that is measured.
-            states, inputs, outputs, tracked_names: Names.
-            tolerance: Largest jump of a row of the field across a facet that is taken for rounding, and
-                repaired: relative to the terms of that row at a point of the facet of typical size.
-            continuous: Whether the field is exactly continuous by construction, which then is not decided again.
+        A, b, B, C and what is tracked (None: all that is measured) are nested sequences or arrays of `Real`, fractions,
+        or doubles, which count as the decimals that they print as; or `BallMatrix`, b_i as a column. A jump of a row of
+        the field across a facet up to the tolerance, of the terms of that row at a point of the facet of typical size,
+        is taken for rounding, and repaired. What is `continuous` by construction is not decided again.
 
-        Raises:
-            ValueError: If the shapes do not fit.
-            OutsideTheory: If cells overlap or leave a hole, or the vector field jumps: one problem per facet.
+        Raises ValueError if the shapes do not fit; OutsideTheory if cells overlap or leave a hole, or the field jumps.
         """
         n, cells = partition.H.shape[1], len(partition.names)
         partition.check()
@@ -218,16 +189,12 @@ class PWASystem:
         return result
 
     def hyperplane_text(self, k: int) -> str:
-        """Return hyperplane k as an equation in the names of the states.
-
-        Example: `'z2 - z1 = 0.05'`.
-        """
+        """Return hyperplane k as an equation in the names of the states, such as `z2 - z1 = 0.05`."""
         H, h = self.partition.H[k], self.partition.h[k]
         H, h = (-H, -h) if H.max() <= 0 else (H, h)
         return f"{linear_form_text(H, self.states)} = {-h + 0.0:.6g}"
 
     def _continuous(self, tolerance: float) -> "PWASystem":
-        """Return the system with an exactly continuous field: see `continuity`."""
         n, exact = self.A.shape[1], self.exact
         given = [beside([A_i.centre, b_i.centre]) for A_i, b_i in zip(exact.A, exact.b, strict=True)]
         try:
@@ -306,12 +273,6 @@ def continuous_offset(A_i: Array, A_j: Array, b_j: Array, H: Array, h: float) ->
     """Return the b_i (n,) with A_i x + b_i = A_j x + b_j wherever H x + h = 0, or None if there is none.
 
     There is one exactly where A_i − A_j = g Hᵀ for some g; it is b_j + g h.
-
-    Example: a spring of stiffness 4 that is met at z = 0.1.
-
-        >>> free, touching = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0, 1.0], [-4.0, 0.0]])
-        >>> continuous_offset(touching, free, np.zeros(2), np.array([1.0, 0.0]), -0.1).tolist()
-        [0.0, 0.4]
     """
     change = A_i - A_j
     pivot = int(np.argmax(np.abs(H)))

@@ -12,22 +12,17 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, readonly
 from pwatrack.causes import Remedy, Subject, Way
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory
 from pwatrack.model.profile import Course, Profile
 from pwatrack.model.signal import Signal
 
 
 @dataclass(frozen=True)
 class OutputReference:
-    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3).
+    """Wanted outputs y_d, some courses per tracked output: output tracking (Theorem 3)."""
 
-    Attributes:
-        courses: By output.
-        preview: Whether it is known beforehand, so that x_d may be worked out.
-    """
-
-    courses: tuple[tuple[Course, ...], ...]
-    preview: bool = True
+    courses: tuple[tuple[Course, ...], ...]  # by output
+    preview: bool = True  # whether it is known beforehand, so that x_d may be worked out
 
     def signals(self, degrees: Sequence[int]) -> list[Signal]:
         """Return y_d, each with as many continuous derivatives as its degree where rounding was asked for."""
@@ -85,15 +80,6 @@ class Exosystem:
 
     Every derivative is again linear in w: s⁽ᵏ⁾ = Q Sᵏ w.
 
-    Attributes:
-        S: (p, p), in 1/s.
-        rates: The eigenvalue of S that each entry of w belongs to, with its imaginary part ≥ 0, (p,).
-        Q: (q, p), one row per signal.
-        w0: (p,).
-        resets: In order of time.
-        period: In s, or None if the signals are constant or not periodic.
-        end: Last time at which all signals are defined, or None.
-
     Example:
         >>> from pwatrack.model.signal import ExponentialPolynomial
         >>> wave = (np.pi * ExponentialPolynomial.time()).sin() * 2.0 + 1.0
@@ -102,13 +88,13 @@ class Exosystem:
         ([3.0], [-6.283185], 2.0)
     """
 
-    S: Array
-    rates: NDArray[np.complex128]
-    Q: Array
-    w0: Array
-    resets: tuple[Reset, ...]
-    period: float | None
-    end: float | None
+    S: Array  # (p, p), in 1/s
+    rates: NDArray[np.complex128]  # the eigenvalue of S of each entry of w, with its imaginary part ≥ 0, (p,)
+    Q: Array  # (q, p), one row per signal
+    w0: Array  # (p,)
+    resets: tuple[Reset, ...]  # in order of time
+    period: float | None  # in s, or None if the signals are constant or not periodic
+    end: float | None  # last time at which all signals are defined, or None
 
     @property
     def constant(self) -> bool:
@@ -116,15 +102,7 @@ class Exosystem:
         return not self.resets and not self.S.any()
 
     def begins(self) -> float | None:
-        """Return the period (s) with which all signals begin, up to the first reset; 0 if at rest, None if neither.
-
-        Example:
-            >>> from pwatrack.model.signal import ExponentialPolynomial
-            >>> t = ExponentialPolynomial.time()
-            >>> one = Signal((0.0, 3.0), (ExponentialPolynomial.constant(1.0), t))
-            >>> [exosystem([signal]).begins() for signal in (one, Signal.of((np.pi * t).sin()), Signal.of(t))]
-            [0.0, 2.0, None]
-        """
+        """Return the period (s) with which all signals begin, up to the first reset; 0 if at rest, None if neither."""
         frequencies = set[float]()
         for rate, chain in spectral_terms(self.S, self.rates):
             for power, E in enumerate(chain):
@@ -278,12 +256,10 @@ def check_bounded(signal: Signal, *, name: str, subject: Subject) -> None:
     growing = signal.pieces[-1].unbounded_term() if signal.end is None else ""
     if growing:
         raise OutsideTheory(
-            Problem(
-                message=f"{name} is not bounded: it has {growing} (Theorems 2 and 3 need bounded ones)",
-                subject=subject,
-                hint="give the interval it is meant for",
-                remedy=Remedy(Way.INTERVAL),
-            )
+            f"{name} is not bounded: it has {growing} (Theorems 2 and 3 need bounded ones)",
+            subject=subject,
+            hint="give the interval it is meant for",
+            remedy=Remedy(Way.INTERVAL),
         )
 
 
@@ -294,13 +270,11 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
         if jump is not None:
             what = "itself" if order == 0 else f"derivative {order}"
             raise OutsideTheory(
-                Problem(
-                    message=f"{name} is not {r} times differentiable, as relative degree {r} needs: "
-                    f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
-                    subject=subject,
-                    hint="round its corners, or choose a smoother one",
-                    remedy=Remedy(Way.ROUNDED_CORNERS),
-                )
+                f"{name} is not {r} times differentiable, as relative degree {r} needs: "
+                f"{what} jumps by {jump[1]:.4g} at t = {jump[0]:.6g} s",
+                subject=subject,
+                hint="round its corners, or choose a smoother one",
+                remedy=Remedy(Way.ROUNDED_CORNERS),
             )
 
 
@@ -315,7 +289,6 @@ def _chains(signal: Signal) -> dict[complex, int]:
 
 
 def _chain(rate: complex, length: int) -> tuple[Array, Array]:
-    """Return S and Q of one chain."""
     shift = np.eye(length, k=1)
     if rate.imag == 0:
         return rate.real * np.eye(length) + shift, np.eye(length)[0]

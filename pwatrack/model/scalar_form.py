@@ -23,13 +23,6 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
     so and none of them goes on through the interior of a cell, which is decided exactly. For then the sum is affine in
     each cell and bends as the field does from each to the next, and they are the same in the first one. Bends on
     parallel hyperplanes along the same direction are one element. Cells with irrational numbers are left as they are.
-
-    Example: a gap between two springs, in three cells.
-
-        >>> from pwatrack import load_spec
-        >>> form = scalar_form(load_spec("specs/two_mass_backlash.yaml").problem.plant)
-        >>> [(e.name, [float(s) for s in e.function.breakpoints]) for e in form.elements]
-        [('gap', [-0.1, 0.05])]
     """
     if plant.written is not None:
         return plant.written

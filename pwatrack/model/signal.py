@@ -30,9 +30,6 @@ class ExponentialPolynomial:
     The class is closed under sums, products and differentiation, and holds
     constants, polynomials, sines, cosines and exponentials of linear arguments.
 
-    Attributes:
-        terms: Coefficients c_λ by λ.
-
     Example:
         >>> t = ExponentialPolynomial.time()
         >>> wave = (3 * t).sin() * (3 * t).sin()
@@ -40,7 +37,7 @@ class ExponentialPolynomial:
         0.994996
     """
 
-    terms: Mapping[complex, ComplexArray]
+    terms: Mapping[complex, ComplexArray]  # coefficients c_λ by λ
 
     @classmethod
     def constant(cls, value: float) -> "ExponentialPolynomial":
@@ -63,14 +60,12 @@ class ExponentialPolynomial:
         return float(np.real(total))
 
     def __add__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the sum."""
         terms = dict(self.terms)
         for rate, c in _lift(other).terms.items():
             _accumulate(terms, rate, c)
         return ExponentialPolynomial(terms)
 
     def __mul__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the product."""
         terms: dict[complex, ComplexArray] = {}
         for one, c in self.terms.items():
             for two, d in _lift(other).terms.items():
@@ -81,19 +76,15 @@ class ExponentialPolynomial:
     __radd__, __rmul__ = __add__, __mul__
 
     def __neg__(self) -> "ExponentialPolynomial":
-        """Return the negative."""
         return self * -1.0
 
     def __sub__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the difference."""
         return self + -other
 
     def __rsub__(self, other: float) -> "ExponentialPolynomial":
-        """Return the difference."""
         return -self + other
 
     def __truediv__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        """Return the quotient by a number."""
         if isinstance(other, ExponentialPolynomial):
             raise NotRepresentable("divides by a function of t")
         return self * (1.0 / other)
@@ -203,22 +194,11 @@ def _accumulate(terms: dict[complex, ComplexArray], rate: complex, c: ComplexArr
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal made of pieces, each an exponential polynomial of the time since its start.
+    """A signal made of pieces, each an exponential polynomial of the time since its start."""
 
-    Attributes:
-        starts: Increasing, the first is 0, in s.
-        pieces: One per start.
-        end: Last time at which it is defined, or None if it goes on for ever.
-
-    Example:
-        >>> ramp = Signal((0.0, 2.0), (ExponentialPolynomial.time(), ExponentialPolynomial.constant(2.0)))
-        >>> ramp(1.5), ramp(7.0), ramp(1.5, derivative=1)
-        (1.5, 2.0, 1.0)
-    """
-
-    starts: tuple[float, ...]
-    pieces: tuple[ExponentialPolynomial, ...]
-    end: float | None = None
+    starts: tuple[float, ...]  # increasing, the first is 0, in s
+    pieces: tuple[ExponentialPolynomial, ...]  # one per start
+    end: float | None = None  # last time at which it is defined, or None if it goes on for ever
 
     @classmethod
     def of(cls, formula: ExponentialPolynomial | float) -> "Signal":
@@ -243,17 +223,13 @@ class Signal:
         return piece(t - self.starts[k])
 
     def __add__(self, other: "Signal") -> "Signal":
-        """Return the sum."""
         end = min((end for end in (self.end, other.end) if end is not None), default=None)
         starts = tuple(t for t in sorted({*self.starts, *other.starts}) if end is None or t < end or t == 0)
         pieces = tuple(self._from(t) + other._from(t) for t in starts)
         return Signal(starts, pieces, end)
 
     def jump(self, order: int) -> tuple[float, float] | None:
-        """Return (time, size) of the largest jump of the derivative of this order, or None if there is none.
-
-        What is within rounding of the derivative's own size is none.
-        """
+        """Return (time, size) of the largest jump of the derivative of this order that is no rounding, or None."""
         terms = self.stacked()
         for _ in range(order):
             for rate, c in terms.items():

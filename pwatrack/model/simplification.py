@@ -21,22 +21,14 @@ from pwatrack.real import Real
 
 @dataclass(frozen=True, kw_only=True)
 class Simplification:
-    """φ = φ̃ + w with |w| ≤ largest everywhere.
+    """φ = φ̃ + w with |w| ≤ largest everywhere."""
 
-    Attributes:
-        element: Which element of a plant, counted from 0; and
-        nonlinearity: that element, with φ.
-        first, last: The breakpoints of φ that become one or none.
-        function: φ̃; where it is a line it has one breakpoint with the same slope on either side.
-        largest: w̄, exact; an upper bound of it where φ has irrational numbers.
-    """
-
-    element: int
-    nonlinearity: Nonlinearity
-    first: int
-    last: int
-    function: PiecewiseLinear
-    largest: Fraction
+    element: int  # of those of a plant, counted from 0
+    nonlinearity: Nonlinearity  # that one, with φ
+    first: int  # the first breakpoint of φ, and
+    last: int  # the last one, of those that become one or none
+    function: PiecewiseLinear  # φ̃; where it is a line it has one breakpoint with the same slope on either side
+    largest: Fraction  # w̄, exact; an upper bound of it where φ has irrational numbers
 
     @property
     def column(self) -> BallMatrix:
@@ -45,18 +37,7 @@ class Simplification:
 
 
 def merges(form: ScalarForm, element: int) -> list[Simplification]:
-    """Return all ways to merge cells of one element, those with the least deviation first.
-
-    Example: a gap of ±0.5 before a spring of stiffness 4 deviates from the spring without it by 2 at most.
-
-        >>> from pwatrack.model.nonlinearity import dead_zone
-        >>> gap = Nonlinearity(name="gap", function=dead_zone(lower=-0.5, upper=0.5, lower_slope=4, upper_slope=4),
-        ...                    row=[1], constant=0, direction=[1])
-        >>> nothing = BallMatrix.of([[0]])
-        >>> (merge,) = merges(ScalarForm(A=nothing, b=nothing, elements=(gap,)), 0)
-        >>> float(merge.largest), [float(slope) for slope in merge.function.slopes], merge.function(0.25)
-        (2.0, [4.0, 4.0], 1.0)
-    """
+    """Return all ways to merge cells of one element, those with the least deviation first."""
     count = len(form.elements[element].function.breakpoints)
     found = (_ways(form, element, width) for width in range(1, count))
     return sorted(chain.from_iterable(found), key=lambda merge: (merge.largest, merge.last - merge.first, merge.first))

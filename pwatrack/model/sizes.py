@@ -53,10 +53,6 @@ def nearest_to_one(rows: csr_matrix, offset: Array, states: int) -> Array:
 
     Of many such θ it is one whose first entries, those of states, are small.
 
-    Args:
-        rows: What the logarithm of each number adds of each θ, (K, k).
-        offset: That of each number as it is, (K,).
-
     Example: ẋ = 3 u with a speed of 1: u is a third of x.
 
         >>> theta = nearest_to_one(csr_matrix([[-1.0, 1.0]]), np.log([3.0]), 1)
@@ -97,12 +93,6 @@ class Sizes:
     With z = x / state, v = u / input, w = y / output and time τ = speed · t all numbers of a plant have no unit. So
     what is said there, such as |z| = 1 or weights of one, does not depend on the units of the file.
 
-    Attributes:
-        state, input, output, load: (n,), (m,), (q,), (p,), positive; the last of the states of unknown loads.
-        tracked: Of what follows a reference, where there is a plant that says what that is.
-        speed: In 1/s: a state moves by about its size in 1 / speed.
-        origins: By name of the signal, where its size is from.
-
     Example: a mass of 2 kg whose position matters to 0.1 m, and its speed to 1 m/s. It takes about 20 N.
 
         >>> A, B, C = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [0.5]]), np.array([[1.0, 0.0]])
@@ -111,13 +101,13 @@ class Sizes:
         (10.0, [20.0], [0.1])
     """
 
-    state: Array
-    input: Array
-    output: Array
-    speed: float
-    origins: Mapping[str, Origin] = field(default_factory=dict)
-    load: Array = field(default_factory=lambda: np.zeros(0))
-    tracked: Array = field(default_factory=lambda: np.zeros(0))
+    state: Array  # (n,), positive, as are all
+    input: Array  # (m,)
+    output: Array  # (q,)
+    speed: float  # in 1/s: a state moves by about its size in 1 / speed
+    origins: Mapping[str, Origin] = field(default_factory=dict)  # by name of the signal, where its size is from
+    load: Array = field(default_factory=lambda: np.zeros(0))  # of states of loads, (p,)
+    tracked: Array = field(default_factory=lambda: np.zeros(0))  # of what is tracked, (p,)
 
     @classmethod
     def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
@@ -199,14 +189,7 @@ class Sizes:
         return np.asarray(K * self.state / self.input[:, None])
 
     def norms(self, K: Array, L: Array) -> tuple[float, float]:
-        """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖.
-
-        Example: 1500 N/m and 200 N s/m are 5 times 50 N for 0.1 m and 1 m/s at once.
-
-            >>> sizes = Sizes(state=np.array([0.1, 1.0]), input=np.array([50.0]), output=np.array([0.01]), speed=1.0)
-            >>> sizes.norms(np.array([[1500.0, 200.0]]), np.array([[-30.0], [-400.0]]))
-            (5.0, 5.0)
-        """
+        """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖."""
         in_sizes = self.gain(K), L * self.output / np.append(self.state, self.load)[:, None]
         k, observer = (float(np.linalg.norm(X, 2)) for X in in_sizes)
         return k, observer

@@ -16,7 +16,7 @@ from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked
 from pwatrack.simulation.margins import worst
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.cautions import Assessment, acting_text
+from pwatrack.workflow.cautions import Assessment
 from pwatrack.workflow.largest_box import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
@@ -88,7 +88,7 @@ def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) 
     if assessment.acting:
         tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
         bounds = ", ".join(words.limits(tracked)) or "no bound is proved"
-        yield "in the end", f"{bounds} as designed, while {acting_text(words, assessment.acting)}"
+        yield "in the end", f"{bounds} {assessment.condition}"
     _, of_K, _ = controller.guarantees.robust
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in margins.gain)

@@ -45,12 +45,9 @@ def bounded_response(
     It is bounded if (7) holds (Theorem 1); or if from the end of the run on it never leaves a cell that is stable by
     itself, where it is a sum of exponentials. Of a periodic solution that is still to be found, a trajectory without a
     start, only (7) is asked. The horizon is the duration of the run in s, `subject` what in the description the start
-    is.
-
-    Raises:
-        CheckFailed: If neither is proved, |x_d| in the last tenth of the run is above that of every tenth before it
-            and above the size of start and inputs, and so it is in a run of ten times the duration. Where the inputs
-            end, and there is no longer run, the cell at the end must be unstable instead.
+    is. Raises CheckFailed if neither is proved, |x_d| in the last tenth of the run is above that of every tenth before
+    it and above the size of start and inputs, and so it is in a run of ten times the duration. Where the inputs end,
+    and there is no longer run, the cell at the end must be unstable instead.
     """
     if _convergent(plant):
         return trajectory
@@ -99,15 +96,13 @@ def _goes_on(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, hori
 
 
 def _convergent(plant: PWASystem) -> bool:
-    """Whether (7) is proved."""
     if np.linalg.eigvals(plant.A).real.max() >= 0:
         return False
     try:
         found = prove_convergence(np.swapaxes(plant.A, 1, 2), claim="(7)", cells=plant.cell_names)
     except (Infeasible, Undecided):
         return False
-    exact = [A_i.transpose() for A_i in different(plant.exact.A)]
-    return exactly(PLANT, exact, found) is not None
+    return exactly(PLANT, [A_i.transpose() for A_i in different(plant.exact.A)], found) is not None
 
 
 def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:

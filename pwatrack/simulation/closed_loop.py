@@ -8,7 +8,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.realisable import ROUNDING
-from pwatrack.model.conditions import NOMINAL, Conditions
+from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.actuator import Actuator, actuators, rate_limits
@@ -61,10 +61,8 @@ class ClosedLoop:
             found += pieces(trajectory.preview.left, at.rho)
         if conditions.disturbance is not None:
             found += pieces(conditions.disturbance, at.d)
-        if (noise := conditions.noise) is not None:
-            t = noise.sample_time * np.arange(sample_count(duration, noise.sample_time), dtype=np.float64)
-            values = np.random.default_rng(noise.seed).normal(size=(len(t), len(noise.std))) * noise.std
-            found.append(StateResets(t=t, where=at.v, values=values))
+        if conditions.noise is not None:
+            found.append(StateResets(**drawn(conditions.noise, duration), where=at.v))
         return found
 
     def response(self, trace: Trace) -> "Response":
@@ -150,41 +148,34 @@ class ClosedLoop:
         return rows
 
 
+def drawn(noise: Noise, duration: float) -> dict[str, Array]:
+    """Return the noise of a run up to a time (s): from when on it has which `values`, (K,) and (K, q)."""
+    t = noise.sample_time * np.arange(sample_count(duration, noise.sample_time), dtype=np.float64)
+    return {"t": t, "values": np.random.default_rng(noise.seed).normal(size=(len(t), len(noise.std))) * noise.std}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """The signals of a closed loop at K sample times.
+    """The signals of a closed loop at K sample times."""
 
-    Attributes:
-        trace: The trace they are read from.
-        x, x_hat, x_d: States of plant and observer, and desired states, (K, n).
-        eta, eta_hat: What the generator's state is for, and that state, (K, p).
-        y, y_d: Measured outputs without their noise, and what they are at x_d, (K, q).
-        measured: They as the controller has them: with noise, and of a program in steps and held, (K, q).
-        tracked, tracked_d: What follows a reference, and its desired value, (K, p).
-        u, u_ff: Inputs and their feedforward parts, (K, m).
-        estimates, loads: Of each load that is estimated, and what it is, (K, loads).
-        tracking_error: What goes to 0: y − y_d for output tracking, x − x_d for state tracking.
-        state_sizes, error_sizes: What states, and entries of the tracking error, are counted in together, (n,), (q,).
-    """
-
-    trace: Trace
-    x: Array
-    x_hat: Array
-    x_d: Array
-    eta: Array
-    eta_hat: Array
-    y: Array
-    y_d: Array
-    measured: Array
-    tracked: Array
-    tracked_d: Array
-    u: Array
-    u_ff: Array
-    estimates: Array
-    loads: Array
-    tracking_error: Array
-    state_sizes: Array
-    error_sizes: Array
+    trace: Trace  # the trace they are read from
+    x: Array  # state of the plant, (K, n)
+    x_hat: Array  # of the observer
+    x_d: Array  # desired
+    eta: Array  # what the generator's state is for, (K, p)
+    eta_hat: Array  # that state
+    y: Array  # measured outputs without their noise, (K, q)
+    y_d: Array  # what they are at x_d
+    measured: Array  # they as the controller has them: with noise, and of a program in steps and held, (K, q)
+    tracked: Array  # what follows a reference, (K, p)
+    tracked_d: Array  # its desired value
+    u: Array  # inputs, (K, m)
+    u_ff: Array  # their feedforward parts
+    estimates: Array  # of each load that is estimated, (K, loads)
+    loads: Array  # what it is
+    tracking_error: Array  # what goes to 0: y − y_d for output tracking, x − x_d for state tracking
+    state_sizes: Array  # what states are counted in together, (n,)
+    error_sizes: Array  # what entries of the tracking error are
 
     @property
     def t(self) -> Array:
@@ -209,14 +200,6 @@ def closed_loop(
     """Connect (1), the observer (18), the controller (19) and the desired trajectory.
 
     Where the controller is sampled, `runs` is the program of it, if it was kept; else it is made.
-
-    Example: a limited input has segments of its own, in each cell of x_d.
-
-        >>> from pwatrack import design, load_spec
-        >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
-        >>> loop = closed_loop(controller, Conditions(limits=np.array([[-1.0, np.inf]])))
-        >>> [part.name for part in loop.flow.parts], loop.flow.parts[-1].cells
-        (['plant', 'observer', 'generator', 'actuator u'], ('low', 'linear', 'low', 'linear', 'low', 'linear'))
     """
     plant, model, trajectory = conditions.plant or controller.running, controller.plant, controller.trajectory
     K, L, sampling = controller.design.K, controller.design.L, conditions.sampling
@@ -374,7 +357,6 @@ def _placed(rates: Array, where: slice) -> Array:
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:
-    """Return rows[cell] z at every sample, (K, m), one cell at a time."""
     values = np.empty((len(z), rows.shape[1]))
     for i in range(len(rows)):
         here = cell == i

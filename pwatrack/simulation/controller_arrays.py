@@ -86,23 +86,10 @@ def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:
     return eta_hat
 
 
-NONE = SampledController(  # one that never runs
-    sampling=Sampling(sample_time=1.0),
-    substeps=1,
-    C=np.zeros((0, 0)),
-    M=np.zeros((0, 0)),
-    H=np.zeros((0, 0)),
-    h=np.zeros(0),
-    signs=np.zeros((0, 0), dtype=np.int64),
-    observer=np.zeros((0, 0, 1)),
-    generator=np.zeros((0, 0, 1)),
-    guards=np.zeros((0, 1)),
-    sides=np.zeros((0, 0), dtype=np.int64),
-    x_d=np.zeros((0, 0, 1)),
-    u_ff=np.zeros((0, 0, 1)),
-    K=np.zeros((0, 0)),
-    limits=np.zeros((0, 2)),
-    change=np.zeros(0),
-    quantum=np.zeros(0),
-    follows=None,
-)
+_NOTHING: dict[str, Any] = dict.fromkeys(("C", "M", "H", "K"), np.zeros((0, 0)))
+_NOTHING |= dict.fromkeys(("h", "change", "quantum"), np.zeros(0)) | {"guards": np.zeros((0, 1))}
+_NOTHING |= dict.fromkeys(("observer", "generator", "x_d", "u_ff"), np.zeros((0, 0, 1))) | {"limits": np.zeros((0, 2))}
+_NOTHING |= dict.fromkeys(("signs", "sides"), np.zeros((0, 0), dtype=np.int64))
+NONE = SampledController(
+    sampling=Sampling(sample_time=1.0), substeps=1, follows=None, **_NOTHING
+)  # one that never runs

@@ -14,6 +14,7 @@ from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import CheckFailed, OutsideTheory, Problem, Undecided
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.enclosure import Segments, enclosed
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import pieces, trace_blocks
@@ -37,33 +38,26 @@ def desired_flow(plant: PWASystem, trajectory: DesiredTrajectory) -> Flow:
 
 
 def _of_w(trajectory: DesiredTrajectory) -> Array:
-    """Return what w alone does in (η̂, w, 1), (N, N)."""
     p = trajectory.rate.shape[1]
     return np.asarray(block_diag(np.zeros((p, p)), trajectory.exosystem.S, np.zeros((1, 1))))
 
 
-def blocks(
-    plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float, *, steps: int = STEPS
-) -> Iterator[Trace]:
+def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:
     """Walk (η̂, w, 1) from z0 for a time in s, with the cells of x_d.
 
-    Raises:
-        Undecided: If that would take too long.
-        CheckFailed: As `simulate_flow`.
+    Raises Undecided if that would take too long; CheckFailed as `simulate_flow`.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     radians = float(np.abs(system.rates.imag).max(initial=0.0)) * duration
     if radians > _LONGEST:
         raise Undecided(
-            Problem(
-                message=f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
-                f"at most {_LONGEST:.0e} are walked",
-                subject=(ProblemPart.REFERENCE,),
-                hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
-            )
+            f"x_d is not followed from cell to cell: {radians:.3g} rad in {duration:.6g} s, "
+            f"at most {_LONGEST:.0e} are walked",
+            subject=(ProblemPart.REFERENCE,),
+            hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
         )
     resets = pieces(system, slice(p, p + len(system.w0)))
-    flow, step = desired_flow(plant, trajectory), duration / steps
+    flow, step = desired_flow(plant, trajectory), duration / STEPS
     return trace_blocks(flow, z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
 
 
@@ -89,17 +83,13 @@ def realised(
 ) -> DesiredTrajectory:
     """Prove (3) for x_d in closed form, in every cell that it visits, and return the trajectory with what is proved.
 
-    On each piece of x_d it is known of every cell whether (3) holds there, whenever x_d is in it: see `LeftOver`.
-    Where that differs from cell to cell, x_d is walked from facet to facet, for one period if it is periodic. (3) is
-    asked for up to the horizon, in s; `subject` is what in the description x_d is, the state follows.
-
-    Raises:
-        OutsideTheory: If no u_ff satisfies (3): first time and cell, state equations and sizes.
-        Undecided: If the walk would take too long.
+    On each piece of x_d it is known of every cell whether (3) holds there, whenever x_d is in it: see `LeftOver`. Where
+    that differs from cell to cell, x_d is walked from facet to facet, for one period if it is periodic. (3) is asked
+    for up to the horizon, in s; `subject` is what in the description x_d is, the state follows. Raises OutsideTheory if
+    no u_ff satisfies (3): first time and cell, state equations and sizes; Undecided if the walk would take too long.
     """
     system = trajectory.exosystem
-    reset = np.array([r.t for r in system.resets if r.t < horizon])
-    starts = np.unique(np.append(0.0, reset))
+    starts = np.unique(np.append(0.0, np.array([r.t for r in system.resets if r.t < horizon])))
     ends = np.append(starts[1:], horizon)
     rest = left_over(plant, trajectory)
     left, size = rest.sizes(starts, ends - starts)
@@ -164,24 +154,12 @@ def feedforward_peak(
     They are enclosed at all times, between samples, where x_d crosses a facet and where signals have new pieces: no
     u_ff is above what is said, and that is at most 1e-6 of the largest above one that there is. It begins at η̂(0), (p,)
     if that matters. None is returned where x_d takes too long to follow or does not stay within numbers.
-
-    Example: what the paper's example takes in its steady state.
-
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.simulation.startup import steady_start
-        >>> from pwatrack.workflow.tracking import desired_trajectory
-        >>> spec = load_spec("specs/two_mass_backlash.yaml")
-        >>> trajectory, generator = desired_trajectory(spec, False)
-        >>> start = steady_start(trajectory, generator)
-        >>> peak = feedforward_peak(spec.problem.plant, trajectory, start, trajectory.exosystem.period)
-        >>> peak.high.round(3).tolist(), peak.times.round(3).tolist()
-        ([5.886], [[0.253, 0.753]])
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     duration = duration if system.end is None else min(duration, system.end)
     segments: Iterable[Segments]
     if w_alone(trajectory):
-        segments = [_along_w(trajectory, duration)]
+        segments = [along(system, duration, before=p)]
     elif start is None and p:
         return None
     else:
@@ -201,11 +179,11 @@ def w_alone(trajectory: DesiredTrajectory) -> bool:
     return not gains[:, :, : trajectory.rate.shape[1]].any() and not (gains - gains[0]).any()
 
 
-def _along_w(trajectory: DesiredTrajectory, duration: float) -> Segments:
-    """Return (η̂, w, 1) with η̂ = 0, from piece to piece of the reference."""
-    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+def along(system: Exosystem, duration: float, *, before: int = 0) -> Segments:
+    """Return (0, w, 1), with so many 0 before w, from piece to piece of an exosystem."""
     breaks = [reset.t for reset in system.resets if reset.t < duration]
     t = np.unique([*np.linspace(0.0, duration, STEPS + 1), *breaks])
-    zeta = np.hstack([np.zeros((len(t), p)), system.states(t), np.ones((len(t), 1))])
+    zeta = np.hstack([np.zeros((len(t), before)), system.states(t), np.ones((len(t), 1))])
+    F = block_diag(np.zeros((before, before)), system.S, np.zeros((1, 1)))
     number, length = np.zeros(len(t), dtype=np.int64), np.diff(t, append=t[-1])
-    return Segments(modes=((0,),), F=_of_w(trajectory)[None], number=number, t=t, zeta=zeta, length=length)
+    return Segments(modes=((0,),), F=F[None], number=number, t=t, zeta=zeta, length=length)

@@ -90,20 +90,7 @@ class Range:
 
 
 def enclosed(blocks: Iterable[Segments], rows: Rows, *, norm: bool = False) -> Range:
-    """Return what r z(t) is within, for each of the rows (q, N); as a norm, what ‖r z(t)‖ is, with 0 from below.
-
-    Example: 2 sin(t) − 0.2 from t = 0 to 10 with a sample in each second, on none of which it is extreme.
-
-        >>> from pwatrack.simulation.flow import SwitchedPart
-        >>> from pwatrack.simulation.propagate import trace_blocks
-        >>> one = SwitchedPart(name="all", cells=("R",), guards=np.zeros((0, 3)), signs=np.zeros((1, 0), dtype=int),
-        ...     F=np.zeros((1, 3, 3)))
-        >>> flow = Flow(F0=np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 0]]), parts=(one,))
-        >>> walked = trace_blocks(flow, np.array([0, 2.0, 1.0]), duration=10.0, sample_time=1.0, most=4)
-        >>> found = enclosed((Segments.of(flow, trace) for trace in walked), lambda mode: np.array([[1.0, 0.0, -0.2]]))
-        >>> bool(-2.200003 < found.low[0] <= -2.2 and 1.8 <= found.high[0] < 1.800003), (found.times / np.pi).round(3)
-        (True, array([[1.5, 0.5]]))
-    """
+    """Return what r z(t) is within, for each of the rows (q, N); as a norm, what ‖r z(t)‖ is, with 0 from below."""
     enclosing = Enclosing(rows, norm=norm)
     for block in blocks:
         enclosing.see(block)
@@ -324,7 +311,6 @@ class Enclosing:
 
 
 def _halved(turns: Transitions, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
-    """Return each piece as two, the first one of a length s 2ᵈ."""
     half, middle = turns.s * 2.0 ** (levels - 1), np.empty_like(zeta)
     for level in np.unique(levels).tolist():
         here = levels == level

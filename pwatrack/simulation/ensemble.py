@@ -32,21 +32,13 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True)
 class Ensemble:
-    """What is kept of M trajectories at K sample times.
+    """What is kept of M trajectories at K sample times."""
 
-    Attributes:
-        t: Sample times in s, (K,).
-        error: ‖e‖ at each sample, (M, K).
-        mode_changes: How many there were, (M,).
-        unresolved: Touches of a guard that rounding could not decide, (M,).
-        verdicts: What each member's `judge` said of it, None without one, (M,).
-    """
-
-    t: Array
-    error: Array
-    mode_changes: IntArray
-    unresolved: IntArray
-    verdicts: tuple[object, ...]
+    t: Array  # sample times in s, (K,)
+    error: Array  # ‖e‖ at each sample, (M, K)
+    mode_changes: IntArray  # how many there were, (M,)
+    unresolved: IntArray  # touches of a guard that rounding could not decide, (M,)
+    verdicts: tuple[object, ...]  # what each member's `judge` said of it, None without one, (M,)
 
     @property
     def largest(self) -> Array:
@@ -67,20 +59,15 @@ class Ensemble:
     def small_from(self) -> Array:
         """When ‖e‖ falls to `small` or less for good, in s; infinity where it does not, (M,)."""
         above = self.error > self.small
-        samples = self.error.shape[1]
-        first = np.where(above.any(axis=1), samples - np.argmax(above[:, ::-1], axis=1), 0)
+        first = np.where(above.any(axis=1), self.error.shape[1] - np.argmax(above[:, ::-1], axis=1), 0)
         return np.asarray(np.append(self.t, np.inf)[first])
 
 
 def joined(parts: Sequence[Ensemble]) -> Ensemble:
     """Return the ensemble whose members are those of its parts, in order."""
-    return Ensemble(
-        t=parts[0].t,
-        error=np.concatenate([part.error for part in parts]),
-        mode_changes=np.concatenate([part.mode_changes for part in parts]),
-        unresolved=np.concatenate([part.unresolved for part in parts]),
-        verdicts=tuple(verdict for part in parts for verdict in part.verdicts),
-    )
+    names = ("error", "mode_changes", "unresolved")
+    each = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **each, verdicts=tuple(verdict for part in parts for verdict in part.verdicts))
 
 
 def simulate_ensemble(
@@ -97,21 +84,8 @@ def simulate_ensemble(
 
     `member` returns one by its index, from any thread, when its turn comes; `first` is the index of the first of them,
     and their flows may differ. `workers` are threads, None for one on each core; the result does not depend on it.
-    `progress` is called with the number of members done, now and then.
-
-    Raises:
-        PwatrackError: What `member` raises, and CheckFailed as `simulate_flow`; the first such member is named.
-
-    Example: oscillators with a one-sided spring, dropped from ten heights.
-        >>> from pwatrack.simulation.flow import SwitchedPart
-        >>> spring = SwitchedPart(name="spring", cells=("touching", "free"), guards=np.array([[1.0, 0, 0]]),
-        ...     signs=np.array([[-1], [1]]), F=np.array([[[0, 0, 0], [-9.0, 0, 0], [0, 0, 0]], np.zeros((3, 3))]))
-        >>> flow = Flow(F0=np.array([[0, 1.0, 0], [-1.0, -0.5, 0], [0, 0, 0]]), parts=(spring,))
-        >>> height = np.array([[1.0, 0.0, 0.0]])
-        >>> members = [Member(flow=flow, z0=np.array([h, 0.0, 1.0]), error=height) for h in range(1, 11)]
-        >>> ensemble = simulate_ensemble(members.__getitem__, 10, duration=20.0, sample_time=0.1)
-        >>> ensemble.error.shape, ensemble.largest.tolist() == list(range(1, 11)), set(ensemble.mode_changes.tolist())
-        ((10, 201), True, {10})
+    `progress` is called with the number of members done, now and then. Raises PwatrackError: what `member` raises, and
+    CheckFailed as `simulate_flow`; the first such member is named.
     """
     samples = sample_count(duration, sample_time)
     error, mode_changes, unresolved = np.empty((count, samples)), *np.empty((2, count), dtype=np.int64)

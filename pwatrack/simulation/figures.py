@@ -27,37 +27,25 @@ class Figures:
     The last move of an output y begins at the last time t_s (s) before which its reference y_d was at rest, at 0 if
     it never was before it came to rest for good; y_d is at rest where it changes by less than 1e-9 of the signals.
     It comes to rest for good if it does so before the last tenth of the run, at y_∞, and y has to go h = y_∞ − y(t_s).
-
-    Attributes:
-        final_error: Largest norm of the tracking error in the last tenth of the time.
-        largest_error: Largest norm of the tracking error.
-        final_errors, largest_errors: The same of each entry by itself, by name and in its unit: y − y_d of what follows
-            a reference, and x − x_d where the states do.
-        final_observer_error: ‖x − x̂‖ at the end.
-        largest_input: Largest size of each input, by name.
-        mode_changes: How many.
-        joint_modes: How many there were.
-        settling_time: How long after t_s each output is within its band of y_∞ for good, in s; infinite where it never
-            is. The band is 2 % of the largest |y − y_∞| from t_s on, unless one is given. For an output whose reference
-            does not come to rest: when |y − y_d| is within its band for good, that being 2 % of half the range of y_d.
-        rise_time: How long each output takes from 10 % of h to 90 % of it, in s; infinite where it does not get there.
-            Only where the reference comes to rest, and h is not 0.
-        overshoot: How far each output goes beyond y_∞, as a share of |h|. Likewise.
-        sampled: Which sizes are at the samples only, by the names above: to enclose them took too long.
     """
 
-    final_error: float
-    largest_error: float
-    final_errors: Mapping[str, float]
+    final_error: float  # largest norm of the tracking error in the last tenth of the time
+    largest_error: float  # largest norm of the tracking error
+    final_errors: Mapping[str, float]  # the same by name and unit: y − y_d of what follows a reference, else x − x_d
     largest_errors: Mapping[str, float]
-    final_observer_error: float
-    largest_input: Mapping[str, float]
-    mode_changes: int
-    joint_modes: int
+    final_observer_error: float  # ‖x − x̂‖ at the end
+    largest_input: Mapping[str, float]  # largest size of each input, by name
+    mode_changes: int  # how many
+    joint_modes: int  # how many there were
+    # how long after t_s each output is within its band of y_∞ for good, in s; infinite where it never is. The band is
+    # 2 % of the largest |y − y_∞| from t_s on, unless one is given. For an output whose reference does not come to
+    # rest: when |y − y_d| is within its band for good, that being 2 % of half the range of y_d.
     settling_time: Mapping[str, float]
+    # how long each output takes from 10 % of h to 90 % of it, in s; infinite where it does not get there. Only where
+    # the reference comes to rest, and h is not 0.
     rise_time: Mapping[str, float]
-    overshoot: Mapping[str, float]
-    sampled: tuple[str, ...] = ()
+    overshoot: Mapping[str, float]  # how far each output goes beyond y_∞, as a share of |h|. Likewise.
+    sampled: tuple[str, ...] = ()  # which sizes are at the samples only, by these names: to enclose them took too long
 
     @staticmethod
     def of(

@@ -13,10 +13,10 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import ProblemPart
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
-from pwatrack.simulation.flow import Clock, Flow
+from pwatrack.simulation.flow import Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 
@@ -57,14 +57,11 @@ def simulate_flow(
     against 50 digits. Where rounding hides on which side of a guard the state is, the trace says so.
 
     The initial state is (N,); the last sample is at the last multiple of `sample_time` up to the duration, both in s.
-    Where some resets happen at the same time, the later ones in the list come last.
-
-    Raises:
-        InvalidSpec: If an entry of the flow is not finite, or floating point cannot resolve the run: it has more than
-            2⁵² finest steps, or more than 2³² radians of an oscillation that lasts.
-        CheckFailed: If more than 1,000 events happen without progress in time, z grows beyond all bounds, or the
-            run takes more than 20 million steps and 10 for each sample, has more than a million events, or enters
-            more modes than there is room for.
+    Where some resets happen at the same time, the later ones in the list come last. Raises InvalidSpec if an entry of
+    the flow is not finite, or floating point cannot resolve the run: it has more than 2⁵² finest steps, or more than
+    2³² radians of an oscillation that lasts; CheckFailed if more than 1,000 events happen without progress in time, z
+    grows beyond all bounds, or the run takes more than 20 million steps and 10 for each sample, has more than a million
+    events, or enters more modes than there is room for.
 
     Example: a ball on a one-sided spring returns to its height.
 
@@ -80,13 +77,7 @@ def simulate_flow(
 
 
 def trace_blocks(
-    flow: Flow,
-    z0: Array,
-    *,
-    duration: float,
-    sample_time: float,
-    resets: Sequence[StateResets] = (),
-    most: int,
+    flow: Flow, z0: Array, *, duration: float, sample_time: float, resets: Sequence[StateResets] = (), most: int
 ) -> Iterator[Trace]:
     """Do what `simulate_flow` does in blocks of at most so many samples: long runs need no more memory than short ones.
 
@@ -245,12 +236,10 @@ class Walk:
                 at = self.state[0]
                 part, guard = self.propagator.places[at["guard"]]
                 raise CheckFailed(
-                    Problem(
-                        message=f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
-                        f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
-                        subject=None,
-                        hint="the vector field may be discontinuous there",
-                    )
+                    f"the {part} crosses guard {guard + 1} at t = {at['last']:.9g} s, and more than "
+                    f"{kernel.MOST_IDLE:,} mode changes follow without progress in time",
+                    subject=None,
+                    hint="the vector field may be discontinuous there",
                 )
 
     def _too_much(self, what: str) -> CheckFailed:
@@ -260,18 +249,16 @@ class Walk:
             "a shorter duration, slower signals, or less stiff cells: the run changes or turns too fast for its length"
         )
         message = f"the run {what}: it got to t = {t:.6g} s of {end:.6g} s"
-        return CheckFailed(Problem(message=message, subject=(ProblemPart.DURATION,), hint=hint))
+        return CheckFailed(message, subject=(ProblemPart.DURATION,), hint=hint)
 
     def _check_bounded(self) -> None:
         size = np.abs(self.log.z).max(axis=1)
         if not size.max() < _UNBOUNDED:
             first = (self.first + int(np.argmin(size < _UNBOUNDED))) * self.propagator.sample_time
             raise CheckFailed(
-                Problem(
-                    message=f"the closed loop is unstable: a state is beyond {_UNBOUNDED:.0e} at t = {first:.6g} s",
-                    subject=None,
-                    hint="the proofs are about a bounded x_d, and no limits, sampling, noise or other parameters",
-                )
+                f"the closed loop is unstable: a state is beyond {_UNBOUNDED:.0e} at t = {first:.6g} s",
+                subject=None,
+                hint="the proofs are about a bounded x_d, and no limits, sampling, noise or other parameters",
             )
 
     def norms(self, rows: Array, result: Array) -> None:
@@ -356,17 +343,9 @@ def _ticks(flow: Flow) -> Any:
     """Return how the program of a clock sits in the loop; one that never runs where there is none."""
     from pwatrack.simulation.kernel import ControllerClock
 
-    none, nowhere = np.zeros(0), np.zeros(0, dtype=np.int64)
-    clock = flow.clock or Clock(
-        program=NONE,
-        measured=np.zeros((0, len(flow.F0))),
-        quantum=none,
-        source=nowhere,
-        place=nowhere,
-        scale=none,
-        eta=nowhere,
-        eta_scale=none,
-    )
+    clock, none, nowhere = flow.clock, np.zeros(0), np.zeros(0, dtype=np.int64)
+    if clock is None:
+        return ControllerClock(routine(NONE), np.zeros((len(flow.F0), 0)), none, nowhere, nowhere, none)
     return ControllerClock(
         routine=routine(clock.program),
         measured=np.ascontiguousarray(clock.measured.T),
@@ -387,8 +366,7 @@ def _controller(flow: Flow, z: Array) -> dict[str, Any]:
         started[clock.source] = z[clock.place] / clock.scale
         x_hat = started[program.places["x_hat"].start : program.places["s_hat"].stop]
         eta_hat = z[clock.eta] / clock.eta_scale if program.sampling.corrects else started[program.places["eta_hat"]]
-    found = memory(program, x_hat, eta_hat)
-    return {**found, "y": np.zeros(program.sizes["q"])}
+    return {**memory(program, x_hat, eta_hat), "y": np.zeros(program.sizes["q"])}
 
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
@@ -399,7 +377,7 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
             f"{end:.6g} s are too long for a closed loop with rates of {rate:.3g} 1/s: these are {rate * end:.3g} time "
             f"constants, and {_MOST_FINEST / 4:.2g} can be told apart"
         )
-        raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or slower poles"))
+        raise InvalidSpec(message, subject=subject, hint="a shorter duration, or slower poles")
     poles = np.linalg.eigvals(flow.matrix(tuple(0 for _ in flow.parts)))
     lasting = (-poles.real * end <= _LASTING[0]) | (-poles.real <= _LASTING[1] * np.abs(poles.imag))
     fastest = float(np.abs(poles.imag[lasting]).max(initial=0.0))
@@ -408,4 +386,4 @@ def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:
             f"{end:.6g} s are too long for an oscillation of {fastest:.4g} rad/s: of {fastest * end:.3g} rad, floating "
             f"point keeps {fastest * end * EPS:.2g}; at most {_MOST_RADIANS:.2g} are taken"
         )
-        raise InvalidSpec(Problem(message=message, subject=subject, hint="a shorter duration, or a lower frequency"))
+        raise InvalidSpec(message, subject=subject, hint="a shorter duration, or a lower frequency")

@@ -9,24 +9,13 @@ from pwatrack.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class BoxRegion:
-    """All x with low ≤ x ≤ high, entry by entry; an entry with low = high stays as it is.
+    """All x with low ≤ x ≤ high, entry by entry; an entry with low = high stays as it is."""
 
-    Attributes:
-        low, high: In the units of the states, (n,).
-    """
-
-    low: Array
+    low: Array  # in the units of the states, (n,)
     high: Array
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
-        """Return points drawn uniformly, (count, n); fewer points are the first of more.
-
-        Example:
-            >>> box = BoxRegion(low=np.array([-1.0, 2.0]), high=np.array([1.0, 2.0]))
-            >>> points = box.draw(np.random.default_rng(1), 100)
-            >>> bool((np.abs(points[:, 0]) <= 1).all()), points[:, 1].min(), points[:, 1].max()
-            (True, np.float64(2.0), np.float64(2.0))
-        """
+        """Return points drawn uniformly, (count, n); fewer points are the first of more."""
         share = random.random((count, len(self.low)))
         points: Array = np.clip(self.low + share * (self.high - self.low), self.low, self.high)
         return points
@@ -34,24 +23,13 @@ class BoxRegion:
 
 @dataclass(frozen=True, kw_only=True)
 class EllipsoidRegion:
-    """All x with Σ ((x_i − center_i) / radii_i)² ≤ 1; an entry of radius 0 stays at its centre.
+    """All x with Σ ((x_i − center_i) / radii_i)² ≤ 1; an entry of radius 0 stays at its centre."""
 
-    Attributes:
-        center, radii: In the units of the states, (n,).
-    """
-
-    center: Array
+    center: Array  # in the units of the states, (n,)
     radii: Array
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
-        """Return points drawn uniformly, (count, n); fewer points are the first of more.
-
-        Example:
-            >>> disc = EllipsoidRegion(center=np.array([5.0, 0.0]), radii=np.array([1.0, 0.1]))
-            >>> points = disc.draw(np.random.default_rng(1), 100)
-            >>> bool((((points - disc.center) / disc.radii) ** 2).sum(axis=1).max() < 1 + 1e-12)
-            True
-        """
+        """Return points drawn uniformly, (count, n); fewer points are the first of more."""
         varied = np.flatnonzero(self.radii)
         # Archimedes: n coordinates of a uniform point on the sphere in n + 2 dimensions are uniform in the ball.
         sphere = random.standard_normal((count, len(varied) + 2))

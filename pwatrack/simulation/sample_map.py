@@ -73,16 +73,7 @@ class SampleMaps:
         return cell, radii[cell]
 
     def loop(self, cell: int, h: float) -> Array:
-        """Return the map of (x, x̂, u, …): u and what waits to be put out where the output is late, (N, N).
-
-        Example: four states of the plant and four of the observer.
-
-            >>> from pwatrack import design, load_spec
-            >>> controller = design(load_spec("specs/two_mass_paper_gains.yaml"))
-            >>> maps = SampleMaps(controller, controller.plant, Sampling(sample_time=0.1))
-            >>> maps.loop(0, 0.1).shape, maps.radius(0, 0.1) < 1
-            ((8, 8), True)
-        """
+        """Return the map of (x, x̂, u, …): u and what waits to be put out where the output is late, (N, N)."""
         (n, m), of, late = self.plant.B.shape, self.runs(h), self.sampling.delay
         plant = expm(np.block([[self.plant.A[cell], self.plant.B], [np.zeros((m, n + m))]]) * h)  # u is held
         N, of_y = of.sizes["N"], np.zeros((of.sizes["N"], n))

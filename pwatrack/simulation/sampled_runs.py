@@ -8,7 +8,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.controller import ProvedController
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import Propagator
@@ -49,17 +49,13 @@ def check_sample_time(controller: ProvedController, conditions: Conditions) -> N
     else:
         message += f"and at {offer[0]:g} s all of {offer[1]} simulated runs from other starts died out"
     remedy = None if offer is None else Remedy(Way.FASTER_SAMPLES, (offer[0],))
-    raise CheckFailed(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), remedy=remedy))
+    raise CheckFailed(message, subject=(ProblemPart.SAMPLE_TIME,), remedy=remedy)
 
 
 def dying_out(maps: SampleMaps, longest: float) -> tuple[float, int] | None:
     """Return a sample time (s) at which all runs are seen to die out, and how many; None if none is found.
 
-    They do at a time that is a quarter longer, too.
-
-    Args:
-        maps: Of the loop.
-        longest: Up to which it is stable in each cell by itself, in s.
+    They do at a time that is a quarter longer, too. Up to `longest` (s) it is stable in each cell by itself.
     """
     before, time = False, longest
     for _ in range(_TRIES):

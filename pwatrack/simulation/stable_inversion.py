@@ -16,19 +16,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from math import factorial
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
+from scipy.linalg import schur, solve_sylvester
 
 from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import ProblemPart
 from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
-from pwatrack.errors import Problem, Undecided
-from pwatrack.model.reference import beside, exosystem
+from pwatrack.errors import Undecided
+from pwatrack.model.reference import Exosystem, beside, exosystem, spectral_terms
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined
-from pwatrack.simulation.driven import ReferenceTransition, SplitModes
-from pwatrack.simulation.played import played, states_at
+from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined, played, states_at
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -40,6 +40,7 @@ _RESOLVED = 0.5  # of the fastest time constant: over so short a time such a pol
 _SHORT = 2.0**-6  # of that time: over so short a one a Taylor polynomial is exact
 _SEEN = 64  # points of each stay from which the size of η is taken
 _MOST_PIECES = 200_000  # of what is played back
+_TAYLOR = 14  # terms of e^{M t} for ‖M t‖ ≤ 1/2: the next is below 1e-16
 
 
 def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tuple[Signal, ...], NoncausalTrajectory]:
@@ -47,10 +48,7 @@ def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tu
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
     stable part then starts as if the first piece had been there before. Returned are one signal per η, up to a time in
-    s, and what is known of them.
-
-    Raises:
-        Undecided: If Newton's method does not settle.
+    s, and what is known of them. Raises Undecided if Newton's method does not settle.
     """
     system = trajectory.exosystem
     poles = np.linalg.eigvals(trajectory.rate[:, :, : trajectory.rate.shape[1]])
@@ -119,6 +117,70 @@ def played_back(trajectory: DesiredTrajectory, duration: float) -> DesiredTrajec
     )
 
 
+class SplitModes:
+    """A_i split into its stable and its unstable part, A_i V = V diag(Λ_s, Λ_u), each driven by the reference."""
+
+    def __init__(self, A: Array, B: Array, turns: "ReferenceTransition") -> None:
+        T, Z, q = schur(A, sort="lhp")
+        X = solve_sylvester(T[:q, :q], -T[q:, q:], -T[:q, q:]) if 0 < q < len(A) else np.zeros((q, len(A) - q))
+        unit = np.eye(len(A))
+        unit[:q, q:] = X
+        self.stable, self.V = q, Z @ unit
+        unit[:q, q:] = -X
+        W = unit @ Z.T
+        self.forward = Driven(T[:q, :q], (W @ B)[:q], turns, 1.0)
+        self.backward = Driven(-T[q:, q:], -(W @ B)[q:], turns, -1.0)
+
+
+class ReferenceTransition:
+    """t ↦ e^{S t} of the reference and the constant 1, in closed form."""
+
+    def __init__(self, system: Exosystem) -> None:
+        self.S = np.zeros((len(system.w0) + 1,) * 2)
+        self.S[:-1, :-1] = system.S
+        self._terms = spectral_terms(system.S, system.rates)
+
+    def __call__(self, t: Array) -> Array:
+        """Return it at some times, (K, s + 1, s + 1)."""
+        found = np.zeros((len(t), *self.S.shape))
+        found[:, -1, -1] = 1.0
+        for rate, chain in self._terms:
+            for m, E in enumerate(chain):
+                found[:, :-1, :-1] += (np.multiply.outer(np.exp(rate * t) * t**m / factorial(m), E)).real
+        return found
+
+
+class Driven:
+    """v' = Λ v + B w with w' = ±S w and Λ stable: v(t) = E(t) v(0) + F(t) w(0), for many t ≥ 0.
+
+    By doubling: E(2t) = E(t)², F(2t) = E(t) F(t) + F(t) e^{±S t}, from a t so short that a Taylor polynomial is exact.
+    Of E what it adds to 1 is kept, or slow modes beside fast ones would lose their digits. What lasts, e^{±S t}, is in
+    closed form, so that errors do not double with it.
+    """
+
+    def __init__(self, L: Array, B: Array, turns: ReferenceTransition, sign: float) -> None:
+        self._q, self._turns, self._sign = len(L), turns, sign
+        self._M = np.block([[L, B], [np.zeros((len(turns.S), len(L))), sign * turns.S]])
+        self._d = balancing(self._M[None])
+        self._M = self._M / self._d[:, None] * self._d
+        self._norm = float(np.abs(self._M).sum(axis=1).max())
+
+    def __call__(self, t: Array) -> tuple[Array, Array]:
+        """Return E, (K, q, q), and F, (K, q, s + 1)."""
+        q, d = self._q, self._d
+        halvings = int(np.ceil(np.log2(max(1.0, 2 * self._norm * float(t.max(initial=0.0))))))
+        first = t / 2.0**halvings
+        step = np.multiply.outer(first, self._M)
+        total = unit = np.broadcast_to(np.eye(len(self._M)), step.shape)
+        for k in range(_TAYLOR, 1, -1):
+            total = unit + step @ total / k
+        total = step @ total * d[:, None] / d
+        G, F = total[:, :q, :q], total[:, :q, q:]
+        for k in range(halvings):
+            G, F = 2 * G + G @ G, F + G @ F + F @ self._turns(self._sign * first * 2.0**k)
+        return np.eye(q) + G, F
+
+
 @dataclass(frozen=True)
 class _Stay:
     """From `start` to `end`, in s, in one cell and one piece of the reference, which begins at `since`."""
@@ -180,8 +242,7 @@ class _Problem:
 
     def w(self, piece: int, t: Array) -> Array:
         """Return (w, 1) of a piece at times in s, (K, s + 1)."""
-        states = self.pieces[piece].states(t - self.breaks[piece])
-        return np.column_stack([states, np.ones(len(t))])
+        return np.column_stack([self.pieces[piece].states(t - self.breaks[piece]), np.ones(len(t))])
 
 
 class _Solution:
@@ -265,8 +326,7 @@ class _Solution:
         w = np.zeros((len(piece), len(problem.turns.S) - 1))
         for k in range(len(problem.pieces)):
             w[piece == k] = problem.w(k, cut.start[piece == k])[:, :-1]
-        field = replace(problem.field, rate=self.rate)
-        looked = field.look(cut, w, 4 * EPS * np.abs(w), sharp=False)
+        looked = replace(problem.field, rate=self.rate).look(cut, w, 4 * EPS * np.abs(w), sharp=False)
         return cut, replace(looked, of=pieces.of[cut.of[looked.of]])
 
     @property
@@ -361,9 +421,7 @@ class _Solution:
 
 def _unsettled(reason: str) -> Undecided:
     return Undecided(
-        Problem(
-            message=f"the bounded solution of the internal dynamics was not found: {reason}",
-            subject=(ProblemPart.REFERENCE,),
-            hint="a slower or smoother reference, or state tracking (Theorem 2)",
-        )
+        f"the bounded solution of the internal dynamics was not found: {reason}",
+        subject=(ProblemPart.REFERENCE,),
+        hint="a slower or smoother reference, or state tracking (Theorem 2)",
     )

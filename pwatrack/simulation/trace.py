@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.simulation.flow import Mode
 
 _LARGE = Path("/var/tmp")  # noqa: S108  on a disk; /tmp is in memory on many machines
@@ -56,23 +56,14 @@ class Breaks:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """A sampled trajectory of a flow of order N with P switched parts.
+    """A sampled trajectory of a flow of order N with P switched parts."""
 
-    Attributes:
-        t: Sample times in s, (K,).
-        z: States, (K, N).
-        modes: Cell of each part at each sample, (K, P).
-        events: All mode changes, in order of time.
-        unresolved: Where rounding leaves open whether or when there was one, in the order in which it was noticed.
-        breaks: What happens between the samples; None where it is not kept.
-    """
-
-    t: Array
-    z: Array
-    modes: IntArray
-    events: tuple[Event, ...]
-    unresolved: tuple[Unresolved, ...] = ()
-    breaks: Breaks | None = None
+    t: Array  # sample times in s, (K,)
+    z: Array  # states, (K, N)
+    modes: IntArray  # cell of each part at each sample, (K, P)
+    events: tuple[Event, ...]  # all mode changes, in order of time
+    unresolved: tuple[Unresolved, ...] = ()  # where rounding leaves open whether or when there was one, as noticed
+    breaks: Breaks | None = None  # what happens between the samples; None where it is not kept
 
     @staticmethod
     def coarse(blocks: Sequence["Trace"]) -> "Trace":
@@ -126,12 +117,6 @@ class TraceOnDisk:
 
     They are in a file that has no name, so that none is left behind: it goes with this object, or with its process.
     It is in TMPDIR where that is set.
-
-    Example:
-        >>> blocks = [Trace(t=np.array([t]), z=np.ones((1, 2)), modes=np.zeros((1, 1), dtype=int), events=())
-        ...     for t in (0.0, 1.0)]
-        >>> [float(trace.t[0]) for trace in TraceOnDisk(blocks)]
-        [0.0, 1.0]
     """
 
     def __init__(self, traces: Iterable[Trace] = ()) -> None:
@@ -147,11 +132,7 @@ class TraceOnDisk:
             self.add(trace)
 
     def add(self, trace: Trace) -> None:
-        """Keep one more trace.
-
-        Raises:
-            InvalidSpec: If there is no room for it.
-        """
+        """Keep one more trace; raises InvalidSpec if there is no room for it."""
         try:
             self._starts.append(self._file.seek(0, os.SEEK_END))
             pickle.dump(trace, self._file, protocol=pickle.HIGHEST_PROTOCOL)
@@ -171,7 +152,7 @@ class TraceOnDisk:
     def _full(self, error: OSError) -> InvalidSpec:
         message = f"cannot keep the samples of the run in {self._folder}: {error.strerror or error}"
         hint = "set TMPDIR to a folder with room, or take a longer sample time: it moves no event"
-        return InvalidSpec(Problem(message=message, hint=hint))
+        return InvalidSpec(message, hint=hint)
 
 
 def _close(file: IO[bytes]) -> None:

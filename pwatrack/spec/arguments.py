@@ -5,7 +5,7 @@ from typing import Any
 
 from pwatrack.arrays import amount
 from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.load import read_plant, read_spec
 from pwatrack.spec.spec import Spec
@@ -167,7 +167,7 @@ def problem(
     """
     if not isinstance(plant, Plant):
         message = f"plant: a {type(plant).__name__} is none: what plant(A=…, B=…, C=…) returns is expected"
-        raise InvalidSpec(Problem(message=message, subject=None))
+        raise InvalidSpec(message, subject=None)
     design = {"tracking": tracking, "controller": controller, "observer": observer}
     design |= {"estimate": estimate, "solver": solver, "uncertain": uncertain}
     asked = {"output": reference} if isinstance(reference, str) else reference
@@ -177,14 +177,7 @@ def problem(
 
 
 def argument(subject: Subject) -> str:
-    """Return how the value of a path in a file is called among the arguments of `plant` and `problem`.
-
-    Example:
-        >>> argument(("system", "cells", 1, "A", 0, 2)), argument(("system", "hyperplanes", 0, "H", 1))
-        ('A[1][0][2]', 'H[0][1]')
-        >>> argument(("design", "controller", "rate")), argument(("simulation", "initial", "plant", 0))
-        ("controller['rate']", "simulation['initial']['plant'][0]")
-    """
+    """Return how the value of a path in a file is called among the arguments of `plant` and `problem`."""
     match subject:
         case ("system", "cells" | "hyperplanes", int(number), str(name), *rest):
             name, steps = "cells" if name == "name" else name, (number, *rest)

@@ -21,12 +21,7 @@ _POINTS = 11  # of an axis that says no number: ten steps
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """A parameter that varies from `low` to `high`, at so many points of a grid; or through `values`, if there are any.
-
-    Example:
-        >>> Axis(name="k", low=Fraction(0), high=Fraction(1, 5), points=3).grid
-        (0.0, 0.1, 0.2)
-    """
+    """A parameter that varies from `low` to `high`, at points of a grid, or through `values` if there are any."""
 
     name: str
     low: Fraction

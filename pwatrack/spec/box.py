@@ -143,8 +143,7 @@ class Summand:
 class Dependence:
     """The field as a function of some parameters, `free`, the others being as they are.
 
-    Raises:
-        OutsideTheory: If an entry is no sum of products of their powers, or hyperplanes or C depend on them.
+    Raises OutsideTheory if an entry is no sum of products of their powers, or hyperplanes or C depend on them.
 
     Example: the paper's example, in the stiffness of its spring and in a mass.
 
@@ -162,10 +161,7 @@ class Dependence:
         self._varying = {p: e for p, e in self._written.items() if not e.names.isdisjoint(varying)}
 
     def powers(self) -> dict[tuple[str, int], str]:
-        """Return each power of a parameter that is in an entry of a matrix, and a place where it is from.
-
-        What cancels in an entry is not in it.
-        """
+        """Return each power of a parameter that is left in an entry of a matrix, and a place where it is from."""
         seen = dict[tuple[str, int], str]()
         try:
             for pieces in self._entries():
@@ -174,7 +170,7 @@ class Dependence:
                     seen[power] = next(p.text for p in pieces if any(power in term for term in p.polynomial.terms))
         except NotRepresentable as error:
             message = f"an entry of the plant as a function of the uncertain parameters {error}"
-            raise OutsideTheory(Problem(message=message, subject=("system",))) from None
+            raise OutsideTheory(message, subject=("system",)) from None
         return seen
 
     def _entries(self) -> Iterator[list[Summand]]:
@@ -197,7 +193,7 @@ class Dependence:
             else:
                 what = "what is measured and tracked is" if path[0] in ("C", "track") else "hyperplanes are"
                 message = f"{self._named(path)} depends on an uncertain parameter: {what} to be known"
-                raise OutsideTheory(Problem(message=message, subject=("system", *path)))
+                raise OutsideTheory(message, subject=("system", *path))
         for number in elements:
             for place, first, *others in self._element(number):
                 entries[place] += first
@@ -237,7 +233,7 @@ class Dependence:
             return Summand(self._named(path), LaurentPolynomial.of(real(self._varying[path], self._names)))
         except ExpressionError:
             message = f"{self._named(path)} is no sum of products of whole powers of the uncertain parameters"
-            raise OutsideTheory(Problem(message=message, subject=("system", *path))) from None
+            raise OutsideTheory(message, subject=("system", *path)) from None
 
     def _named(self, path: Subject, nominal: Real = _ZERO) -> str:
         expression = self._written.get(path)
@@ -279,23 +275,12 @@ def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str
 def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[Matrices, ...]:
     """Return the matrices of the plant at all corners of a box that they speak for.
 
-    Raises:
-        InvalidSpec: If a parameter is nowhere in the plant.
-        OutsideTheory: If the corners do not speak for all of the box, or hyperplanes or C are uncertain too.
-        Undecided: If there are too many.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.real import Real
-        >>> from pwatrack.model.box import Uncertain
-        >>> problem = load_spec("specs/two_mass_backlash.yaml").problem
-        >>> mass = Uncertain(name="m1", nominal=Real.of(1), low=Real.of("0.8"), high=Real.of("1.25"))
-        >>> [float(X.B.floats[1, 0]) for X in corners(problem.parametric, problem.plant, (mass,))]
-        [1.25, 0.8]
+    Raises InvalidSpec for a parameter that is nowhere in the plant, OutsideTheory where the corners do not speak for
+    all of the box or hyperplanes or C are uncertain too, Undecided for too many corners.
     """
     if 2 ** len(box) > _MOST_CORNERS:
         message = f"{len(box)} uncertain parameters have 2^{len(box)} corners, at most {_MOST_CORNERS:,} are tried"
-        raise Undecided(Problem(message=message, subject=SUBJECT, hint="let those that matter least be known"))
+        raise Undecided(message, subject=SUBJECT, hint="let those that matter least be known")
     _check_dependence(parametric, box)
     found = []
     for ends in product(*((interval.low, interval.high) for interval in box)):
@@ -303,7 +288,7 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
         found.append(plant)
     if nominal.repair is not None or any(plant.repair is not None for plant in found):
         message = "the data of the plant jump at facets by rounding: for uncertain parameters they must be continuous"
-        raise OutsideTheory(Problem(message=message, subject=SUBJECT, hint="write b as an expression that closes it"))
+        raise OutsideTheory(message, subject=SUBJECT, hint="write b as an expression that closes it")
     return tuple(plant.exact for plant in found)
 
 

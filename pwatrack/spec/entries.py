@@ -89,7 +89,6 @@ def _form(value: Any, info: ValidationInfo[Context]) -> LinearForm:
 
 
 def _inequalities(value: Any, info: ValidationInfo[Context]) -> list[LinearForm]:
-    """Return the forms that one or two inequalities say are ≥ 0."""
     if isinstance(value, list) and value and all(isinstance(form, LinearForm) for form in value):
         return value
     text = _text(value, "an inequality such as 'z2 - z1 >= 0.05'")
@@ -143,7 +142,6 @@ def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
 
 
 def _or(word: str) -> WrapValidator:
-    """Return a validator of a number, or of one word."""
     return WrapValidator(lambda value, number: word if value == word else number(value))
 
 
@@ -191,7 +189,6 @@ class Or:
         self.schema = schema
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Return the schema of either."""
         usual = handler(core)
         return {"anyOf": [usual, self.schema or handler.resolve_ref_schema(usual)["items"]]}
 

@@ -68,13 +68,7 @@ Parameters = Mapping[str, Real | float | None]  # None: in error
 
 @dataclass(frozen=True)
 class Expression:
-    """An expression that is parsed, to be evaluated as often as is asked.
-
-    Example:
-        >>> square = parsed("k**2")
-        >>> [float(real(square, {"k": Real.of(k)})) for k in (1, 2, 3)]
-        [1.0, 4.0, 9.0]
-    """
+    """An expression that is parsed, to be evaluated as often as is asked."""
 
     text: str
     tree: ast.expr
@@ -139,12 +133,7 @@ def is_number(text: str) -> bool:
 
 
 def real(text: str | Expression, parameters: Parameters) -> Real:
-    """Return the value of an expression in the parameters, exactly where it is rational.
-
-    Example:
-        >>> real("(0.1 + d)/3", {"d": Real.of("0.2")})
-        Real(centre=Fraction(1, 10), radius=Fraction(0, 1))
-    """
+    """Return the value of an expression in the parameters, exactly where it is rational."""
     if isinstance(text, str) and is_number(text):
         return Real(Fraction(text))
     value: Real = _evaluate(text, _names(parameters))
@@ -239,6 +228,11 @@ def parsed(text: str | Expression) -> Expression:
         raise ExpressionError(f"{shown(text)} is not a number or an expression") from None
 
 
+_FAILED = {
+    ZeroDivisionError: " divides by zero",
+    OverflowError: " is not finite",
+    TypeError: " has arguments that do not fit",
+}
 _ALLOWED = {
     "t": "allowed are sums and products of powers of t and of sin, cos, exp of a*t + b",
     "the states": "a nonlinearity is written under system.nonlinearities",
@@ -264,33 +258,19 @@ class _Reader:
         try:
             with np.errstate(all="ignore"):
                 value = function(*arguments)
-        except NotRepresentable as error:
-            raise ExpressionError(f"{self._quote(node)} {error}") from None
-        except ZeroDivisionError:
-            raise ExpressionError(f"{self._quote(node)} divides by zero") from None
-        except OverflowError:
-            raise ExpressionError(f"{self._quote(node)} is not finite") from None
-        except TypeError:
-            raise ExpressionError(f"{self._quote(node)} has arguments that do not fit") from None
-        except ValueError as error:
-            raise ExpressionError(f"{self._quote(node)}: {error}") from None
-        if isinstance(value, complex):
-            raise ExpressionError(f"{self._quote(node)} is not real")
-        value = float(value) if isinstance(value, int | float) else value
-        try:
+            if isinstance(value, complex):
+                raise NotRepresentable("is not real")
             value = value.shortened() if isinstance(value, Real) else value
-            parts = (
-                [float(value)]
-                if isinstance(value, Real | float)
-                else [value.constant, *value.row]
-                if isinstance(value, LinearForm)
-                else []
-            )
-        except OverflowError:
-            parts = [math.inf]
-        if not np.isfinite(parts).all():
-            raise ExpressionError(f"{self._quote(node)} is not finite")
-        return value
+            if isinstance(value, Real | float | int):
+                parts = [float(value)]
+            else:
+                parts = [value.constant, *value.row] if isinstance(value, LinearForm) else []
+            if not np.isfinite(parts).all():
+                raise OverflowError
+        except (ArithmeticError, TypeError, ValueError) as error:
+            said = _FAILED.get(type(error), f" {error}" if isinstance(error, NotRepresentable) else f": {error}")
+            raise ExpressionError(self._quote(node) + said) from None
+        return float(value) if isinstance(value, int | float) else value
 
     def _read(self, node: ast.AST) -> Any:
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):

@@ -75,7 +75,7 @@ def load_spec(
         return read_spec(document_of(source), parameters, outside=outside)
     if not isinstance(source, str | Path):
         message = f"load_spec: a value of type {type(source).__name__} is neither a path nor a mapping of sections"
-        raise InvalidSpec(Problem(message=message, subject=None))
+        raise InvalidSpec(message, subject=None)
     path = Path(source)
     document, digest = _read(path)
     return _spec_of(document, parameters, Folder(path=path.parent, outside=outside), path, digest)
@@ -88,10 +88,7 @@ def read_spec(
     outside: bool = False,
     plant: PWASystem | None = None,
 ) -> Spec:
-    """Return the spec that values from Python describe, `plant` being what its sections were read as, if they were.
-
-    The rest, and what is raised, is as for `load_spec`.
-    """
+    """Return the spec of values from Python as `load_spec` does, with the plant that its sections were read as."""
     text = yaml_text(document.data)
     folder, digest = Folder(path=Path(), outside=outside), hashlib.sha256(text.encode()).hexdigest()
     return _spec_of(document, parameters, folder, Path(WRITTEN), digest, text, plant)
@@ -248,7 +245,7 @@ def _read(path: Path) -> tuple[Document, str]:
     except UnicodeDecodeError as error:
         before = text[: error.start]
         place = Place(str(path), before.count(b"\n") + 1, error.start - before.rfind(b"\n"))
-        raise InvalidSpec(Problem(message=f"not UTF-8 text: byte {text[error.start]:#04x}", place=place)) from None
+        raise InvalidSpec(f"not UTF-8 text: byte {text[error.start]:#04x}", place=place) from None
 
 
 def spec_bytes(path: Path) -> bytes:

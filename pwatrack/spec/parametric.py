@@ -33,14 +33,6 @@ Value = str | float | Expression | Real
 class ParametricPlant:
     """The plant (1) as a function of parameters.
 
-    Attributes:
-        parameters: What the file and the command line say of each, in the order in which they are evaluated.
-        outside: Which of them are set from outside the file.
-        nominal: The section of the plant with these parameters.
-        written: The same as a tree, with an expression for each entry that depends on a parameter.
-        names: Those that the section declares, and the values of the parameters in it.
-        tolerance: For the continuity of the plant.
-
     Example:
         >>> from pwatrack import load_spec
         >>> parametric = load_spec("specs/two_mass_backlash.yaml").problem.parametric
@@ -49,12 +41,12 @@ class ParametricPlant:
         (-0.1, {'k2': 0.1})
     """
 
-    parameters: Mapping[str, Expression]
-    outside: frozenset[str]
-    nominal: SystemSection
-    written: Mapping[str, Any]
-    names: Context
-    tolerance: float
+    parameters: Mapping[str, Expression]  # what is said of each, in the order in which they are evaluated
+    outside: frozenset[str]  # which of them are set from outside the file
+    nominal: SystemSection  # the section of the plant with these parameters
+    written: Mapping[str, Any]  # the same as a tree, with an expression for each entry that depends on a parameter
+    names: Context  # those that the section declares, and the values of the parameters in it
+    tolerance: float  # for the continuity of the plant
 
     @staticmethod
     def of(

@@ -20,26 +20,16 @@ _ENCLOSED = CLOSE + _ROUNDING  # likewise, of one that is a bound on what is bet
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a figure is.
+    """What a figure is."""
 
-    Attributes:
-        of: What has it: the design, a run, or each member of an ensemble as well as the run itself.
-        best: Whether a requirement is its largest value or its smallest.
-        per: What it has one value for each of, if it has not one for all: "errors" are those of what follows a
-            reference.
-        each: The figure that is the same of each signal by itself: limits by name are about that.
-        unit: Its unit, or which unit that is.
-        share: Whether it is a share, that may be written in percent.
-        known: To which part of itself it is known; missing a limit by less is no miss.
-    """
-
-    of: Literal["design", "run", "member"]
-    best: Literal["at most", "at least"] = "at most"
+    of: Literal["design", "run", "member"]  # "member": each of an ensemble, and the run itself
+    best: Literal["at most", "at least"] = "at most"  # whether a requirement is its largest value or its smallest
+    # of which each has its own; "errors": of what follows a reference
     per: Literal["outputs", "inputs", "errors"] | None = None
-    each: str | None = None
-    unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""
-    share: bool = False
-    known: float = _ROUNDING
+    each: str | None = None  # the figure that is the same of each signal by itself: limits by name are about that
+    unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""  # its unit, or which unit that is
+    share: bool = False  # whether it is a share, that may be written in percent
+    known: float = _ROUNDING  # to which part of itself it is known; missing a limit by less is no miss
 
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -70,20 +60,12 @@ QUANTITIES: Mapping[str, Quantity] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """A limit of a figure.
-
-    Attributes:
-        figure: Its name.
-        signal: Of which output or input, or None for all that have one.
-        limit: The largest value that is allowed, or the smallest.
-        share: Of the members of an ensemble that must keep it; None where it is about the run itself.
-        subject: Where it stands.
-    """
+    """A limit of a figure."""
 
     figure: str
-    signal: str | None
-    limit: float
-    share: float | None
+    signal: str | None  # of which output or input, or None for all that have one
+    limit: float  # the largest value that is allowed, or the smallest
+    share: float | None  # of the members of an ensemble that must keep it; None where it is about the run itself
     subject: Subject
 
     @property

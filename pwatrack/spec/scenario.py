@@ -118,12 +118,10 @@ def _lasting(make: Callable[[], Course], horizon: float, subject: Subject) -> Co
 
 
 def _refused(text: str, subject: Subject, hint: str = "") -> InvalidSpec:
-    """Return a refusal of what stands at a path, which is said first."""
-    return InvalidSpec(Problem(message=path_text(subject) + text, subject=subject, hint=hint))
+    return InvalidSpec(path_text(subject) + text, subject=subject, hint=hint)
 
 
 def _formula(section: ProfileSection, horizon: float, subject: Subject) -> Formula:
-    """Return the sum of constant, sines and formula."""
     t = ExponentialPolynomial.time()
     total = ExponentialPolynomial.constant(section.constant)
     for sine in section.sine:
@@ -144,7 +142,6 @@ def _formula(section: ProfileSection, horizon: float, subject: Subject) -> Formu
 
 
 def _step(step: StepSection, horizon: float, subject: Subject) -> Profile:
-    """Return a step as two constant pieces."""
     half = (step.smooth or 0.0) / 2
     if step.at is not None and step.centre is not None:
         raise _refused(": give `at`, when it begins, or `centre`, its middle, not both", subject)
@@ -340,7 +337,6 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
 
 
 def _box(uncertain: Mapping[str, Real | tuple[Real, Real]], parametric: ParametricPlant) -> Box:
-    """Return what is uncertain, of a section without a fault."""
     values, uses = parametric.names.parameters, parametric.uses if uncertain else {}
     box = []
     for name, given in uncertain.items():

@@ -88,12 +88,7 @@ class SpecFile(PlantFile):
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the schema, made from the models that read a file. What only they can check, such as shapes, it leaves.
-
-    Example:
-        >>> sorted(json_schema()["required"])
-        ['name', 'reference', 'simulation', 'system']
-    """
+    """Return the schema, made from the models that read a file. What only they can check, such as shapes, it leaves."""
     schema = SpecFile.model_json_schema()
     figures = {name: {"description": quantity.best, **_LIMIT} for name, quantity in QUANTITIES.items()}
     of_members = {name: figures[name] for name, quantity in QUANTITIES.items() if quantity.of == "member"}
@@ -130,17 +125,14 @@ def _plain(schema: Any) -> Any:
         return [_plain(value) for value in schema]
     if not isinstance(schema, dict):
         return schema
-    kept = {key: value for key, value in schema.items() if not _said_by_model(key, value)}
+    said: dict[str, Any] = {"title": str, "default": dict | list | None}  # where it is of this type
+    kept = {key: value for key, value in schema.items() if not (key in said and isinstance(value, said[key]))}
     if kept.get("additionalProperties") is True:  # parameters
         kept["additionalProperties"] = _VALUE
     choices = [choice for choice in kept.pop("anyOf", []) if choice != {"type": "null"}]
     if len(choices) == 1:
         return _plain(kept | choices[0])
     return {key: _plain(value) for key, value in kept.items()} | ({"anyOf": _plain(choices)} if choices else {})
-
-
-def _said_by_model(key: str, value: object) -> bool:
-    return (key == "title" and isinstance(value, str)) or (key == "default" and isinstance(value, dict | list | None))
 
 
 _SAID = {  # of what pydantic finds, behind the path

@@ -26,25 +26,16 @@ MOST = 100  # for so many faults of a kind it is guessed what was meant
 
 @dataclass(frozen=True)
 class Context:
-    """What the rest of the file is read with.
+    """What the rest of the file is read with."""
 
-    Attributes:
-        parameters: Their values; None for one that is itself in error.
-        states, inputs, outputs: The names declared under `system`.
-        tracked: Those of what is to follow a reference, where they are declared for that.
-        loads: Those of the loads to be estimated, with how many states each has.
-        chosen: Those of the outputs that are to follow a reference, where some are named.
-        tracking: What `design` says of it.
-    """
-
-    parameters: Mapping[str, Real | None]
-    states: tuple[str, ...]
+    parameters: Mapping[str, Real | None]  # their values; None for one that is itself in error
+    states: tuple[str, ...]  # the names declared under `system`
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    tracked: tuple[str, ...] = ()
-    loads: Mapping[str, int] = field(default_factory=dict)
-    chosen: tuple[str, ...] = ()
-    tracking: str = "output"
+    tracked: tuple[str, ...] = ()  # those of what is to follow a reference, where they are declared for that
+    loads: Mapping[str, int] = field(default_factory=dict)  # to be estimated, with how many states each has
+    chosen: tuple[str, ...] = ()  # those of the outputs that are to follow a reference, where some are named
+    tracking: str = "output"  # what `design` says of it
 
     @staticmethod
     def of(data: Mapping[str, Any], parameters: Mapping[str, Real | None]) -> "Context":
@@ -107,21 +98,13 @@ def _texts(value: Any) -> tuple[str, ...]:
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong with a value.
+    """One thing that is wrong with a value."""
 
-    Attributes:
-        text: What; behind the path of what it is about, where it begins with a colon, a point or a space.
-        at: That path, from the value on.
-        hint: What to do.
-        key: Where it stands, from there on.
-        late: Whether it may follow from another fault, and is said only where there is none.
-    """
-
-    text: str
-    at: Subject = ()
-    hint: str = ""
-    key: Subject = ()
-    late: bool = False
+    text: str  # what; behind the path of what it is about, where it begins with a colon, a point or a space
+    at: Subject = ()  # that path, from the value on
+    hint: str = ""  # what to do
+    key: Subject = ()  # where it stands, from there on
+    late: bool = False  # whether it may follow from another fault, and is said only where there is none
 
 
 class Faults(ValueError):

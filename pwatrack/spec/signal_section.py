@@ -129,7 +129,6 @@ class _OneOrByName:
     """For `pwatrack schema`: `{constant: 1}` is one signal, and reads like one by name, so that both may fit."""
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Return the schema of either."""
         return {"anyOf": handler(core)["oneOf"]}
 
 

@@ -27,8 +27,7 @@ _MOST_PORTRAITS = 50  # each is a picture
 _MOST_SAMPLES = 10_000_000  # more are hours of a run, and gigabytes of its trace
 _MOST_TICKS = 2_000_000  # all of them are kept in memory
 _MOST_LATE = 10  # samples: each adds the inputs to the states of the loop
-
-
+_RENAMED = BeforeValidator(lambda method: "emulated" if method == "exponential" else method)  # as before
 _OF_STATES = named("state", "states", "; states: {}")
 
 
@@ -63,16 +62,11 @@ class NoiseSection(Section):
     seed: Annotated[Whole, Field(ge=0), whole(0)] = 1
 
 
-def _renamed(method: Any) -> Any:
-    """Files of earlier versions say "exponential"."""
-    return "emulated" if method == "exponential" else method
-
-
 class SampledSection(Section):
     """The controller as a program that runs once in a sample time (s), its output late by some samples."""
 
     sample_time: Positive
-    method: Annotated[Method, BeforeValidator(_renamed)] = "corrected"
+    method: Annotated[Method, _RENAMED] = "corrected"
     delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE), whole(0, _MOST_LATE)] = 0
 
 

@@ -26,21 +26,13 @@ from pwatrack.spec.spelling import located
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingProblem:
-    """A plant, and what it is to track.
-
-    Attributes:
-        plant: The system (1).
-        units: Unit of each state, input and output that has one.
-        sizes: Deviation that matters of each state, input and output for which the file says one.
-        reference: What to track.
-        parametric: The plant as a function of the parameters.
-    """
+    """A plant, and what it is to track."""
 
     plant: PWASystem
-    units: Mapping[str, str]
-    sizes: Mapping[str, float]
+    units: Mapping[str, str]  # unit of each state, input and output that has one
+    sizes: Mapping[str, float]  # deviation that matters of each state, input and output for which the file says one
     reference: Reference
-    parametric: ParametricPlant
+    parametric: ParametricPlant  # the plant as a function of the parameters
 
     @property
     def tracking(self) -> Literal["output", "state"]:
@@ -50,20 +42,13 @@ class TrackingProblem:
 
 @dataclass(frozen=True, kw_only=True)
 class Objectives:
-    """What the design is to achieve.
+    """What the design is to achieve."""
 
-    Attributes:
-        controller, observer: Goals of K and Lᵀ.
-        solver: Which interior-point solver to ask.
-        uncertain: Parameters of which only intervals are known.
-        practical: Whether cells are merged after any refusal of the theory.
-    """
-
-    controller: Goal
-    observer: Goal
-    solver: Solver
-    uncertain: Box = ()
-    practical: bool = False
+    controller: Goal  # of K
+    observer: Goal  # of Lᵀ
+    solver: Solver  # which interior-point solver to ask
+    uncertain: Box = ()  # parameters of which only intervals are known
+    practical: bool = False  # whether cells are merged after any refusal of the theory
 
     @property
     def goals(self) -> dict[Role, Goal]:
@@ -95,26 +80,16 @@ class InitialStates:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """What is simulated, and how it may vary.
+    """What is simulated, and how it may vary."""
 
-    Attributes:
-        duration, sample_time: In s.
-        initial: Where it starts.
-        conditions: What is not as the theorems assume.
-        regions: Where the members of an ensemble start, by part; empty where the file says nothing.
-        intervals: Lowest and highest values of the plant's parameters in an ensemble, by name; likewise.
-        portraits: Pairs of linear forms of the states to draw against each other.
-        bands: How far from its rest an output counts as settled, in its unit, by name where that is given.
-    """
-
-    duration: float
-    sample_time: float
+    duration: float  # in s
+    sample_time: float  # in s
     initial: InitialStates
-    conditions: Conditions
-    regions: Mapping[str, Region]
-    intervals: Mapping[str, tuple[float, float]]
-    portraits: tuple[tuple[LinearForm, LinearForm], ...]
-    bands: Mapping[str, float]
+    conditions: Conditions  # what is not as the theorems assume
+    regions: Mapping[str, Region]  # where the members of an ensemble start, by part; empty where the file says nothing
+    intervals: Mapping[str, tuple[float, float]]  # lowest and highest values of the plant's parameters; likewise
+    portraits: tuple[tuple[LinearForm, LinearForm], ...]  # forms of the states to draw
+    bands: Mapping[str, float]  # how far from its rest an output counts as settled, in its unit
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -77,17 +77,7 @@ def path_of(subject: Subject) -> Subject:
 
 
 def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> PwatrackError:
-    """Return the same refusal in the words of the file, with the place of the nearest path that is written there.
-
-    Example:
-        >>> from pwatrack.errors import Undecided
-        >>> from pwatrack.causes import Remedy
-        >>> problem = Problem(message="(8) is undecided", subject=(ProblemPart.CONTROLLER, ProblemPart.RATE),
-        ...     hint="the other solver may help", remedy=Remedy(Way.OTHER_SOLVER, ("cvxopt",)))
-        >>> print(located(Undecided(problem), {("design",): Place("a.yaml", 7, 1)}))
-        a.yaml:7:1: (8) is undecided
-          hint: the other solver may help: --solver cvxopt
-    """
+    """Return the same refusal in the words of the file, with the place of the nearest path that is written there."""
     return type(refusal)(*(_located(p, places) for p in refusal.problems), evidence=refusal.evidence)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec
 from pwatrack.model.profile import Table, low_passed
 from pwatrack.model.signal import LARGEST
 from pwatrack.remote_files import content
@@ -40,8 +40,7 @@ class Folder:
 def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table:
     """Return the course of a table: a text file with a header, a column of times and others.
 
-    Raises:
-        InvalidSpec: If it cannot be read, its times do not increase, or its filter does not fit them.
+    Raises InvalidSpec if it cannot be read, its times do not increase, or its filter does not fit them.
     """
     path = folder.path / section.file
     try:
@@ -57,7 +56,7 @@ def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table
     except (ValueError, OSError, csv.Error) as error:  # a path with a NUL is a ValueError too
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         shown = str(path).encode("unicode_escape").decode()
-        raise InvalidSpec(Problem(message=f"table {shown}: {reason}", subject=subject)) from None
+        raise InvalidSpec(f"table {shown}: {reason}", subject=subject) from None
     return Table(readonly(t), readonly(y), filtered=section.filter is not None)
 
 
@@ -145,7 +144,6 @@ def _numbers(texts: Sequence[str], line: int, *, commas: bool) -> tuple[float, f
 
 
 def _scales(scale: float | dict[str, float], time: str, column: str) -> Array:
-    """Return what times and values are multiplied with."""
     if not isinstance(scale, dict):
         scale = {time: scale}
     for name, value in scale.items():

@@ -65,11 +65,11 @@ def parse_yaml(text: str, file: str) -> Document:
     """Read one YAML document whose root is a mapping, without aliases and tags; `file` is for messages."""
     if len(text) > _LONGEST:
         message = f"the file has {len(text)} characters, at most {_LONGEST} are read"
-        raise InvalidSpec(Problem(message=message, place=Place(file, 1, 1)))
+        raise InvalidSpec(message, place=Place(file, 1, 1))
     control = Reader.NON_PRINTABLE.search(text)
     if control:
         message = f"not valid YAML: character {ord(control.group()):#06x} is not allowed"
-        raise InvalidSpec(Problem(message=message, place=_place_in(text, control.start(), file)))
+        raise InvalidSpec(message, place=_place_in(text, control.start(), file))
     try:
         return _Events(yaml.parse(text, Loader=_LOADER), file).document()
     except yaml.MarkedYAMLError as error:
@@ -83,10 +83,10 @@ def parse_yaml(text: str, file: str) -> Document:
             hint = "that is a tab: YAML wants spaces at the start of a line"
         elif first and first in "@`%":
             hint = f"a plain value does not begin with {first}: put the value in quotes"
-        raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=place, hint=hint)) from None
+        raise InvalidSpec(f"not valid YAML: {reason}", place=place, hint=hint) from None
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
-        raise InvalidSpec(Problem(message=f"not valid YAML: {reason}", place=Place(file, 1, 1))) from None
+        raise InvalidSpec(f"not valid YAML: {reason}", place=Place(file, 1, 1)) from None
 
 
 def _place_in(text: str, position: int, file: str) -> Place:
@@ -110,7 +110,7 @@ class _Events:
                 root = self._node(event, ())
         if not isinstance(root, dict):
             message = "the file must hold a mapping of sections (name, system, …)"
-            raise InvalidSpec(Problem(message=message, place=Place(self.file, 1, 1)))
+            raise InvalidSpec(message, place=Place(self.file, 1, 1))
         return Document(data=root, places=self.places, problems=self.problems)
 
     def _node(self, event: Any, path: Subject) -> Any:
@@ -155,7 +155,7 @@ class _Events:
         return Place(self.file, event.start_mark.line + 1, event.start_mark.column + 1)
 
     def _stop(self, event: Any, message: str, hint: str = "") -> NoReturn:
-        raise InvalidSpec(Problem(message=message, hint=hint, place=self._place(event)))
+        raise InvalidSpec(message, hint=hint, place=self._place(event))
 
 
 @dataclass(frozen=True)
@@ -188,17 +188,14 @@ class Arguments(dict[Subject, Place]):
         return problem
 
 
-def in_mapping(subject: Subject) -> str:
-    """Return how the value of a path is called where the whole spec is one mapping."""
-    return "spec" + subscripts(subject)
-
-
 def subscripts(subject: Subject) -> str:
     """Return a path as Python's subscripts, counted from 0."""
     return "".join(f"[{part!r}]" for part in subject)
 
 
-def document_of(data: Mapping[str, Any], named: Callable[[Subject], str] = in_mapping) -> Document:
+def document_of(
+    data: Mapping[str, Any], named: Callable[[Subject], str] = lambda subject: "spec" + subscripts(subject)
+) -> Document:
     """Return a mapping from Python as the tree that a file with the same content is read as.
 
     Numbers become the shortest decimals that read as the same doubles, fractions stay exact; arrays and tuples are

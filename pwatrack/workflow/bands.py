@@ -11,7 +11,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController, Seen
 from pwatrack.model.box import Box, inside
 from pwatrack.model.conditions import Conditions
-from pwatrack.simulation.actuator import Actuator
+from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.enclosure import Enclosing, Segments
 from pwatrack.simulation.flow import Mode
@@ -38,11 +38,10 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     been at the samples so far, noise as it ever gets. The response is from the start on.
     """
     conditions, controller, first = loop.conditions, loop.controller, response
-    free = replace(conditions, limits=None) if not _limited(loop, response) else conditions
-    start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0], _estimates_off(loop, response)])
+    free = replace(conditions, limits=None) if not limited(loop, response) else conditions
     seen = Seen(
         t=response.t,
-        start=start,
+        start=start_of_errors(loop, first),
         acting=_acting(loop, response),
         designed=replace(free, disturbance=None, noise=None).nominal,
         w=w if covered(box, free) else None,
@@ -71,13 +70,20 @@ def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
     return acting
 
 
-def _limited(loop: ClosedLoop, response: Response) -> bool:
-    """Say whether an input was at a limit."""
+def limited(loop: ClosedLoop, response: Response) -> bool:
+    """Say whether an input was at a limit, or changed as fast as it may."""
     visited = response.trace.visited()
     return any(
-        isinstance(part, Actuator) and any(part.levels[mode[k]] is not None for mode in visited)
+        (isinstance(part, Actuator) and any(part.levels[mode[k]] is not None for mode in visited))
+        or (isinstance(part, RateLimit) and any(part.cells[mode[k]] != "free" for mode in visited))
         for k, part in enumerate(loop.flow.parts)
     )
+
+
+def start_of_errors(loop: ClosedLoop, first: Response) -> Array:
+    """Return (x − x_d, x̂ − x, ŝ − s) at the first sample."""
+    off = first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]
+    return np.concatenate([*off, _estimates_off(loop, first)])
 
 
 def _estimates_off(loop: ClosedLoop, response: Response) -> Array:
@@ -114,9 +120,6 @@ class Along:
     That is w = f_p(x_d) − f(x_d) + (B_p − B) u_ff. In each cell of x_d, for each plant, w is rows of the flow of the
     loop; it is affine in the matrices, so of all plants of the box one at a corner has the largest. What is said is of
     all times: between samples, and on both sides of where x_d goes from cell to cell or a signal jumps.
-
-    Args:
-        samples: How many the run has.
     """
 
     def __init__(self, loop: ClosedLoop, robust: Robust, samples: int) -> None:
@@ -159,10 +162,7 @@ def _parts(segments: Segments, start: float, end: float, rows: int) -> Iterator[
 def so_far(w: Array, t: Array, samples: int, step: float) -> Array:
     """Return the largest size of each entry of w up to the end of the tenth of the run that a time is in, (K, n).
 
-    Args:
-        w: In each tenth, (10, n).
-        t: Times in s, (K,).
-        samples, step: How many samples the run has, and how far they are apart in s.
+    w (10, n) is that in each tenth, and t (K,) are times in s; a run has so many samples, so far apart.
     """
     starts = np.array(tenths(samples)[:-1]) * step
     k = np.searchsorted(starts, t + step / 2, side="right") - 1  # never an earlier one than that of t

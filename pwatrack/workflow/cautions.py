@@ -12,6 +12,7 @@ from pwatrack.arrays import number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_gains import sampled_gains
@@ -35,13 +36,16 @@ class Assessment:
 
     Attributes:
         acting: How large noises and disturbances count.
-        ends: The most that each signal is in the end under these, in the loop as designed; nothing where none acts.
+        ends: The most that each signal is in the end under these: in the sampled loop where that is proved, else in the
+            loop as designed. Nothing where none acts.
+        condition: Of which loop and for what, in words.
         margins: Of each cell by itself; none where to look for them would take long.
         warnings: In the order of their weight.
     """
 
     acting: Mapping[Channel, float]
     ends: Mapping[Form, float]
+    condition: str
     margins: Sequence[Margins]
     warnings: tuple[str, ...]
 
@@ -58,6 +62,10 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     """
     acting, claims = declared(spec, controller), controller.claims_of(SignalBounds)
     ends = claims[0].under(controller, acting) if acting and claims else {}
+    condition = f"as designed, while {acting_text(spec.words, acting)}"
+    for sampled in (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds)):
+        if sampled:
+            ends, condition = sampled, "as sampled, with all that acts in this run"
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
@@ -69,7 +77,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     if margins is not None and margins.phase < _LITTLE_PHASE:
         where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
         warnings.append(f"phase margin {np.degrees(margins.phase):.2g}° {where}: ask for a slower K, or a faster L")
-    return Assessment(acting=acting, ends=ends, margins=every, warnings=tuple(warnings))
+    return Assessment(acting=acting, ends=ends, condition=condition, margins=every, warnings=tuple(warnings))
 
 
 def _disturbed(

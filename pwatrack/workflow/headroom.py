@@ -10,7 +10,7 @@ from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.desired import feedforward_peak, w_alone
-from pwatrack.simulation.startup import steady_start
+from pwatrack.simulation.steady_state import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.starting import generator_start, plant_start, starts_of
 
@@ -23,18 +23,8 @@ def room_within_limits(
 ) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
-    Raises:
-        OutsideTheory: If following the reference takes more than the limits: input, time, figure and limit. What
-            only the generator's start makes of it is no reason: it dies out.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> from pwatrack.workflow.sizing import spec_sizes
-        >>> from pwatrack.workflow.tracking import desired_trajectory
-        >>> spec = load_spec("specs/two_mass_machine.yaml")
-        >>> room = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
-        >>> room.peak.high.round(3).tolist(), room.left.round(3).tolist()
-        ([5.926], [2.071])
+    Raises OutsideTheory if following the reference takes more than the limits: input, time, figure and limit. What only
+    the generator's start makes of it is no reason: it dies out.
     """
     limits, plant = spec.scenario.conditions.limits, spec.problem.plant
     if limits is None:

@@ -38,40 +38,24 @@ _MOST_WORK = 200_000  # different cells · order³, of all proofs together: some
 
 @dataclass(frozen=True, kw_only=True)
 class Proved:
-    """A value of one parameter, the others as they are, at which the refused inequality is proved.
+    """A value of one parameter, the others as they are, at which the refused inequality is proved."""
 
-    Attributes:
-        parameter: Its name.
-        now: Its present value.
-        value: The one at which there is a proof; of one that is nearer by a few parts in 1e5 none was found.
-        degree: 2 for a common P; that of a polynomial that takes its place.
-    """
-
-    parameter: str
-    now: float
-    value: float
-    degree: int
+    parameter: str  # its name
+    now: float  # its present value
+    value: float  # one at which there is a proof; of one that is nearer by a few parts in 1e5 none was found
+    degree: int  # 2 for a common P; that of a polynomial that takes its place
 
 
 @dataclass(frozen=True, kw_only=True)
 class HowFar:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        claim: The inequality.
-        parameters: The values at which it is proved, the relatively nearest first; then those for polynomials.
-        rate: The largest rate in 1/s that is proved, where one was refused; None where none was found.
-        asked: The rate that was refused; 0 if none was.
-        ended: Whether the number of proofs that may be tried ended the search for some parameter.
-        entering: Whether any parameter of the file enters it.
-    """
-
-    claim: str
-    parameters: tuple[Proved, ...]
-    rate: float | None
-    asked: float
-    ended: bool = False
-    entering: bool = True
+    claim: str  # the inequality
+    parameters: tuple[Proved, ...]  # where it is proved, the relatively nearest first; then those for polynomials
+    rate: float | None  # the largest rate in 1/s that is proved, where one was refused; None where none was found
+    asked: float  # the rate that was refused; 0 if none was
+    ended: bool = False  # whether the number of proofs that may be tried ended the search for some parameter
+    entering: bool = True  # whether any parameter of the file enters it
 
 
 def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], object] = lambda _: None) -> HowFar | None:
@@ -82,15 +66,6 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
 
     Returns:
         What was found; None where the inequality is too large to be asked so often, or none that depends on the plant.
-
-    Example: the springs of the example made stiffer, both at once: (17) ends at k2 = k3 = 0.69 N/m.
-
-        >>> from pwatrack import design, load_spec
-        >>> from pwatrack.claims.practical import Practical
-        >>> spec = load_spec("specs/gallery/stiff_springs.yaml", {"k3": "k2"})
-        >>> found = how_far(spec, design(spec).claim(Practical).evidence)
-        >>> found.parameters[0].parameter, round(found.parameters[0].value, 3)
-        ('k2', 0.69)
     """
     inequality, rate = _Inequality(spec, evidence), None
     if inequality.proofs < _LEAST_PROOFS:
@@ -179,7 +154,7 @@ class _Inequality:
 
         def proved(value: float) -> bool:
             M = self._matrices(name, value) if self._paid() else None
-            proof = None if M is None else _polynomial(self._role, M, most_rows=FEW_ROWS)
+            proof = None if M is None else _polynomial(self._role, M)
             if proof is not None:
                 seen[value] = proof.degree
             return proof is not None
@@ -204,7 +179,11 @@ class _Inequality:
     def _bisected(self, proved: Callable[[float], bool], without: float, value: float) -> float:
         """Return the value nearest to one without a proof that has one, by bisection."""
         return bisected(
-            (value, None), without, lambda v: (v, None) if proved(v) else None, near=_CLOSE, middle=_middle
+            (value, None),
+            without,
+            lambda v: (v, None) if proved(v) else None,
+            near=_CLOSE,
+            middle=lambda one, other: _short((one + other) / 2),
         )[0]
 
     def _proved(self, name: str, value: float) -> bool:
@@ -255,7 +234,6 @@ class _Inequality:
         return self._of(self._spec.problem.plant)
 
     def _enters(self, name: str, now: float) -> bool:
-        """Say whether a parameter changes the inequality."""
         for value in (now * 1.01, now * 0.99) if now else (1e-3, -1e-3):
             M = self._matrices(name, value)
             if M is not None and self._now is not None:
@@ -264,43 +242,23 @@ class _Inequality:
         return False
 
 
-def _middle(one: float, other: float) -> float:
-    return _short((one + other) / 2)
-
-
 def _short(value: float) -> float:
-    """Return a number of few digits."""
     return float(np.format_float_scientific(value, precision=_DIGITS - 1))
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
 def _common_P(role: Role, M: Sequence[BallMatrix]) -> Proof | None:
-    """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found.
-
-    Example:
-        >>> from pwatrack.lmi.role import GENERATOR
-        >>> M = BallMatrix.of([[-1.0, 1.0], [0.0, -2.0]])
-        >>> _common_P(GENERATOR, [M]).rate > 0, _common_P(GENERATOR, [M, M - M])
-        (True, None)
-    """
+    """Return an exact proof of M_i P + P M_iᵀ ≺ 0 for all cells, of any rate; None where none is found."""
     exact = different(M)
     found = first_certificate(stack(exact))
     return None if found is None else prove_exactly(role, exact, found.P, found.rate)
 
 
-def _polynomial(role: Role, M: Sequence[BallMatrix], *, most_rows: int) -> PolynomialProof | None:
-    """Return an exact proof by a polynomial of the highest degree that is small enough; None where none is found.
-
-    Example: the zero dynamics of the example with k2 = 1.
-
-        >>> from pwatrack.lmi.role import CONTROLLER
-        >>> M = [BallMatrix.of([["0", "1"], [k, "-0.3"]]) for k in ("-1", "-2")]
-        >>> _polynomial(CONTROLLER, M, most_rows=250).degree
-        10
-    """
+def _polynomial(role: Role, M: Sequence[BallMatrix]) -> PolynomialProof | None:
+    """Return an exact proof by a polynomial of the highest degree that is small enough; None where none is found."""
     exact = different(M)
     A = distinct(role.oriented(stack(exact)))[0]
-    tried = degrees(A.shape[1], len(A), most_rows)
+    tried = degrees(A.shape[1], len(A), FEW_ROWS)
     if not tried or not np.linalg.eigvals(A).real.max() < 0:
         return None
     found = best_polynomial(A, tried[-1], near_polynomial(A), trials=1)
@@ -309,16 +267,7 @@ def _polynomial(role: Role, M: Sequence[BallMatrix], *, most_rows: int) -> Polyn
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _some_gain(task: Task, rate: float) -> Array | None:
-    """Return a gain K, or Lᵀ, that is proved exactly to reach a rate (1/s), of whatever size; None where none is found.
-
-    Example: a double integrator has no largest rate, and one that is not controllable has.
-
-        >>> A, B = np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[0.0], [1.0]])
-        >>> _some_gain(Task(A=A, B=B, cells=["all"]), 3.0).shape
-        (1, 2)
-        >>> _some_gain(Task(A=-np.eye(2)[None], B=B, cells=["all"]), 3.0) is None
-        True
-    """
+    """Return a gain K, or Lᵀ, that is proved to reach a rate (1/s), of whatever size; None where none is found."""
     candidates = Candidates(task)
     if seems_impossible(candidates.A, task.B, rate=rate):
         return None

@@ -19,39 +19,18 @@ _TRIALS = 16  # together with these: ten halvings
 
 @dataclass(frozen=True, kw_only=True)
 class LargestBox:
-    """The largest box that was proved.
+    """The largest box that was proved."""
 
-    Attributes:
-        factor: All ends are so many times as far from the values of the design as the spec has them.
-        beyond: The least factor for which no proof was found; None up to 64.
-        box: The box itself.
-    """
-
-    factor: float
-    beyond: float | None
-    box: Box
+    factor: float  # all ends are so many times as far from the values of the design as the spec has them
+    beyond: float | None  # the least factor for which no proof was found; None up to 64
+    box: Box  # the box itself
 
 
 def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
 
-    Args:
-        spec: With uncertain parameters.
-        controller: A design for it, whether it is proved for the box or not.
-
-    Raises:
-        Undecided: If none was proved.
-
-    Example: the paper's example, for its spring.
-
-        >>> from dataclasses import replace
-        >>> from pwatrack import design, load_spec
-        >>> from pwatrack.model.box import Uncertain
-        >>> spec = load_spec("specs/two_mass_backlash.yaml")
-        >>> k1 = Uncertain(name="k1", nominal=Real.of(1), low=Real.of("0.95"), high=Real.of("1.05"))
-        >>> wide = replace(spec, objectives=replace(spec.objectives, uncertain=(k1,)))
-        >>> largest_box(wide, design(spec)).factor > 1
-        True
+    The controller is a design for the spec, whether it is proved for its box or not. Raises Undecided if none was
+    proved.
     """
     uncertain, refusals = spec.objectives.uncertain, [Undecided()]
 
@@ -71,14 +50,16 @@ def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
     low, beyond = 0.0, None
     for tried, factor in enumerate(_DOUBLED, 1):
         if at(factor) is None:
-            low, _, beyond = bisected((low, None), factor, at, near=_NEAR, most=_TRIALS - tried, middle=_middle)
+            low, _, beyond = bisected(
+                (low, None),
+                factor,
+                at,
+                near=_NEAR,
+                most=_TRIALS - tried,
+                middle=lambda one, other: float(f"{(one + other) / 2:.4g}"),
+            )
             break
         low = factor
     if not low:
         raise refusals[-1]
     return LargestBox(factor=low, beyond=beyond, box=box(low))
-
-
-def _middle(one: float, other: float) -> float:
-    """Return a number of four digits."""
-    return float(f"{(one + other) / 2:.4g}")

@@ -1,6 +1,6 @@
 """How a simulated loop ended: whether it tracks, is off, grows without bound, or contradicts its own proof."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -12,6 +12,7 @@ from pwatrack.arrays import EPS, Array
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Seen
 from pwatrack.errors import ExitCode
@@ -19,7 +20,7 @@ from pwatrack.model.box import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.workflow.bands import Along, covered
+from pwatrack.workflow.bands import Along, covered, limited, start_of_errors
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 
@@ -32,19 +33,15 @@ _FADING = 0.9  # e^(−t/τ) falls to it in three tenths of a run of 0.35 τ: a 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a simulation ended.
+    """How a simulation ended."""
 
-    Attributes:
-        kind: In a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of
-            its reference and start, or of its largest size where these are 0. "within its bound": cells are merged,
-            and the norm of the error then is below what it is proved to end below. "off": neither. "grows": an error
-            does, see `grows`, or the desired trajectory. "above its bound": the loop is the one that the proofs are
-            about, and an error is larger than they allow.
-        text: In words and figures.
-    """
-
+    # in a word. "tracks": in the last tenth of the time no entry of the error is above 1 % of the size of its reference
+    # and start, or of its largest size where these are 0. "within its bound": cells are merged, and the norm of the
+    # error then is below what it is proved to end below. "off": neither. "grows": an error does, see `grows`, or the
+    # desired trajectory. "above its bound": the loop is the one that the proofs are about, and an error is larger than
+    # they allow.
     kind: Kind
-    text: str
+    text: str  # in words and figures
 
     @property
     def code(self) -> ExitCode:
@@ -60,15 +57,8 @@ def grows(high: Array, low: Array, size: float) -> bool:
     rises from each of the last seven tenths to the next; and on the side where it is largest, the last three tenths add
     no less than nine tenths of what the three before them added, so that it does not settle.
 
-    Args:
-        high, low: Largest and smallest value in each tenth of the time, (10,).
-        size: Of what it may be anyway: reference and start, in the unit of the signal.
-
-    Example: eᵗ grows, and 1 − e⁻ᵗ does not, which is above its start at any time.
-
-        >>> t = np.arange(1.0, 11.0)
-        >>> grows(np.exp(t), np.exp(t - 1), 1.0), grows(1 - np.exp(-t), 1 - np.exp(1 - t), 0.0)
-        (True, False)
+    `high` and `low` are the largest and smallest value in each tenth of the time, (10,); `size` is that of what it may
+    be anyway: reference and start, in the unit of the signal.
     """
     if not np.isfinite([high, low]).all():
         return False  # less than ten samples
@@ -81,37 +71,15 @@ def grows(high: Array, low: Array, size: float) -> bool:
     return bool(largest[9] > size and rises and side[9] - side[6] >= _FADING * (side[6] - side[3]))
 
 
-class _Envelope:
-    """The largest and smallest values of q signals in each tenth of the time."""
-
-    def __init__(self, q: int) -> None:
-        self.high, self.low = np.full((10, q), -np.inf), np.full((10, q), np.inf)
-
-    def see(self, tenth: int, values: Array) -> None:
-        """Take values in a tenth into account, (K, q)."""
-        self.high[tenth] = np.maximum(self.high[tenth], values.max(axis=0, initial=-np.inf))
-        self.low[tenth] = np.minimum(self.low[tenth], values.min(axis=0, initial=np.inf))
-
-    @property
-    def largest(self) -> Array:
-        """The largest size in each tenth, 0 where there is no sample, (10, q)."""
-        return np.asarray(np.maximum(np.maximum(self.high, -self.low), 0.0))
-
-
 class RunMonitor:
-    """Looks at a run block by block, to say in the end how it went.
-
-    Args:
-        samples: How many it will see.
-        units: Of outputs and states, by name.
-        box: Parameters that are uncertain.
-    """
+    """Looks at a run of so many samples block by block, to say in the end how it went; the box is of parameters."""
 
     def __init__(self, loop: ClosedLoop, samples: int, *, units: Mapping[str, str], box: Box = ()) -> None:
         self._loop, self._units, self._tracked = loop, units, loop.controller.tracking
         self._names = loop.controller.error_names
         self._edges, self._number = tenths(samples), 0
-        self._error = _Envelope(len(self._names))
+        self._high = np.full((10, len(self._names)), -np.inf)  # of each error, in each tenth of the time
+        self._low = -self._high
         self._reference = np.zeros(len(self._names))
         self._scale, self._speed = _balanced(loop)
         self._size = 0.0  # of the largest state so far, balanced
@@ -121,27 +89,33 @@ class RunMonitor:
         self._broken = ""
         robust = next(iter(loop.controller.claims_of(Robust)), None)
         self._robust = robust if covered(box, loop.conditions) else None
+        conditions = loop.conditions  # what else may be in them is counted in what acts
+        self._sampled = conditions.plant is None and conditions.sampling is not None and conditions.sampling.corrects
         self._along = None if robust is None else Along(loop, robust, samples)
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
         self._first, self._end = self._first or block, float(block.t[-1])
-        number, norm = self._number, block.error_norm
-        self._number += len(norm)
         for k, (start, end) in enumerate(pairwise(self._edges)):
-            self._error.see(k, block.tracking_error[max(start - number, 0) : max(end - number, 0)])
-        self._reference = np.maximum(
-            self._reference, np.abs(block.tracked_d if self._tracked == "output" else block.x_d).max(axis=0)
-        )
+            values = block.tracking_error[max(start - self._number, 0) : max(end - self._number, 0)]
+            self._high[k] = np.maximum(self._high[k], values.max(axis=0, initial=-np.inf))
+            self._low[k] = np.minimum(self._low[k], values.min(axis=0, initial=np.inf))
+        self._number += len(block.t)
+        desired = block.tracked_d if self._tracked == "output" else block.x_d
+        self._reference = np.maximum(self._reference, np.abs(desired).max(axis=0))
         largest = np.abs(np.concatenate([block.x, block.x_hat, block.x_d])).max(axis=0)
         self._size = max(self._size, float((largest / self._scale).max()))
         self._disturbed(block.trace)
         if self._along is not None:
             self._along.see(block.trace)
-        if self._loop.conditions.nominal and not self._broken:
-            self._broken = self._above_its_bound(block, norm)
-        elif self._robust is not None and not self._broken:
-            self._broken = self._above_that_of_the_box(self._robust, block)
+        for name, error, bound, rounding in () if self._broken else self._bounded(block):
+            above = np.flatnonzero(error > bound + rounding)
+            if len(above) and not self._broken:
+                k = int(above[0])
+                self._broken = (
+                    f"above its own proved bound: {name} is {error[k]:.3g} at t = {block.t[k]:.9g} s, where at most "
+                    f"{bound[k]:.3g} is proved: numerical error is suspected"
+                )
 
     @property
     def w(self) -> Array | None:
@@ -152,53 +126,42 @@ class RunMonitor:
         return None if self._along is None or not np.isfinite(self._along.w).all() else self._along.w
 
     def outcome(self, figures: Figures) -> Outcome:
-        """Say how the run went, the worst first.
-
-        Args:
-            figures: Of this run: sizes of the error that hold between samples too.
-        """
+        """Say how the run went, the worst first; `figures` have sizes of the error that hold between samples too."""
         if (growth := self._loop.controller.trajectory.growth) is not None:
             return Outcome(kind="grows", text=growth.message)
         if self._broken:
             return Outcome(kind="above its bound", text=self._broken)
         return self._growing() or self._practical(figures) or self._settled(figures)
 
-    def _above_its_bound(self, block: Response, norm: Array) -> str:
-        """Say where an error is above what is proved of it and of the rounding of the simulation, or nothing."""
-        assert self._first is not None
-        first, promised = self._first, self._loop.controller
-        starts, t = (first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]), block.t
-        sizes, states = block.error_sizes, block.state_sizes
-        rounding, of_x = self._rounding(t[-1]), self._rounding_of_x(t[-1]) / (states if len(states) > 1 else 1.0)
-        bounds = (
-            (self._norm_name, norm, promised.tracking_bound(t, *starts), rounding / sizes),
-            ("‖x̂ − x‖", block.observer_error, promised.observer_bound(t, starts[1]), of_x),
-        )
-        for name, error, bound, rounding in bounds:
-            above = np.flatnonzero(error > bound + np.linalg.norm(rounding))
-            if len(above):
-                return _believed_not(name, t, error, bound, int(above[0]))
-        return ""
+    def _bounded(self, block: Response) -> Iterator[tuple[str, Array, Array, float]]:
+        """Yield errors that proofs speak of, what these allow, and what the simulation is uncertain by.
 
-    def _above_that_of_the_box(self, robust: Robust, block: Response) -> str:
-        """Likewise of what is proved of all plants of a box, of which this is one."""
-        if self._first is None or self.w is None:
-            return ""
-        first, controller = self._first, self._loop.controller
-        start = np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]])
-        w = np.broadcast_to(self.w.max(axis=0), block.x.shape)
-        seen = Seen(t=block.t, start=start, acting={}, designed=False, w=w)
-        allowed = controller.with_left(robust.allows(controller, seen))
-        for k, (name, rounding) in enumerate(zip(self._names, self._rounding(float(block.t[-1])), strict=True)):
-            if (self._tracked, k) not in allowed:
-                continue
-            error, bound = np.abs(block.tracking_error[:, k]), allowed[self._tracked, k]
-            if len(above := np.flatnonzero(error > bound + rounding)):
-                return _believed_not(f"|{name} − {name}_d|", block.t, error, bound, int(above[0]))
-        return ""
+        They are about the loop as designed, or about all plants of a box, of which this is one.
+        """
+        assert self._first is not None
+        first, controller, t = self._first, self._loop.controller, block.t
+        e, delta = first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]
+        rounding, states = self._rounding(self._end), block.state_sizes if len(block.state_sizes) > 1 else 1.0
+        if self._loop.conditions.nominal:
+            off = [rounding / block.error_sizes, self._rounding_of_x(self._end) / states]
+            of_e, of_x = (float(np.linalg.norm(each)) for each in off)
+            yield self._norm_name, block.error_norm, controller.tracking_bound(t, e, delta), of_e
+            yield "‖x̂ − x‖", block.observer_error, controller.observer_bound(t, delta), of_x
+            return
+        start, allowed = start_of_errors(self._loop, first), dict[Form, Array]()
+        if self._robust is not None and self.w is not None:
+            w = np.broadcast_to(self.w.max(axis=0), block.x.shape)
+            seen = Seen(t=t, start=start[: 2 * len(e)], acting={}, designed=False, w=w)
+            allowed = self._robust.allows(controller, seen)
+        self._sampled = self._sampled and not limited(self._loop, block)
+        for claim in controller.claims_of(SampledBounds) if self._sampled else ():
+            allowed |= claim.allows(controller, Seen(t=t, start=start, acting={}, designed=False, sampled=True))
+        for form, bound in controller.with_left(allowed).items():
+            if form[0] == self._tracked:
+                k, name = form[1], self._names[form[1]]
+                yield f"|{name} − {name}_d|", np.abs(block.tracking_error[:, k]), bound, float(rounding[k])
 
     def _disturbed(self, trace: Trace) -> None:
-        """Take what disturbs into account."""
         conditions, at, z = self._loop.conditions, self._loop.at, trace.z
         signals: list[tuple[Literal["disturbance", "noise"], Array]] = []
         if conditions.disturbance is not None:
@@ -226,11 +189,11 @@ class RunMonitor:
         designed = conditions.plant is None and conditions.limits is None and conditions.sampling is None
         if designed or self._robust is not None:
             return None
-        sizes, error = np.maximum(self._expected, self._rounding(self._end)), self._error
+        sizes = np.maximum(self._expected, self._rounding(self._end))
         for k, name in enumerate(self._names):
-            seen = error.high[:, k], error.low[:, k]
+            seen = self._high[:, k], self._low[:, k]
             if grows(*seen, sizes[k]) and grows(*seen, sizes[k] + self._caused(k)):
-                last, expected = (self._with_unit(v, name) for v in (error.largest[9, k], self._expected[k]))
+                last, expected = (self._with_unit(v, name) for v in (self._largest[9, k], self._expected[k]))
                 text = (
                     f"the error grows: |{name} − {name}_d| up to {last} at the samples in the last tenth of the time, "
                     f"more than at any before; reference and start are up to {expected} there"
@@ -253,8 +216,7 @@ class RunMonitor:
 
     def _settled(self, figures: Figures) -> Outcome:
         """Say what is left of the error, and of which entry most."""
-        error = self._error.largest
-        last, largest, seen = error[9], error.max(axis=0), " at the samples"
+        last, largest, seen = self._largest[9], self._largest.max(axis=0), " at the samples"
         if len(self._names) == 1:
             last, largest = np.array([figures.final_error]), np.array([figures.largest_error])
             seen = _seen(figures)
@@ -268,9 +230,16 @@ class RunMonitor:
         k = int(np.argmax(last / allowed))
         name, expected = self._names[k], self._expected[k]
         late, worst, usual = (self._with_unit(v, name) for v in (last[k], largest[k], expected))
-        share = f", {_share(last[k] / expected)} of reference and start, {usual}" if expected else ""
+        ratio = last[k] / expected if expected else 0.0
+        share = f"{ratio:.3g} times the size" if ratio > 1 else f"{100 * ratio:.3g} %"
+        share = f", {share} of reference and start, {usual}" if expected else ""
         text = f"off: |{name} − {name}_d| up to {late}{seen} {when}{share} ({worst} at worst)"
         return Outcome(kind="off", text=text)
+
+    @property
+    def _largest(self) -> Array:
+        """The largest size of each error in each tenth, 0 where there is no sample, (10, q)."""
+        return np.asarray(np.maximum(np.maximum(self._high, -self._low), 0.0))
 
     @property
     def _expected(self) -> Array:
@@ -303,13 +272,6 @@ class RunMonitor:
         return f"{value:.3g} {self._units.get(name, '')}".rstrip()
 
 
-def _believed_not(name: str, t: Array, error: Array, bound: Array, k: int) -> str:
-    return (
-        f"above its own proved bound: {name} is {error[k]:.3g} at t = {t[k]:.9g} s, where at most "
-        f"{bound[k]:.3g} is proved: numerical error is suspected"
-    )
-
-
 def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     """Return the size of each state in which the loop is balanced, (n,), and the loop's norm in these units in 1/s."""
     plant, design = loop.controller.plant, loop.controller.design
@@ -325,7 +287,3 @@ def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
 def _seen(figures: Figures) -> str:
     """Say that an error was looked at at the samples only, where it was."""
     return " at the samples" if {"final_error", "largest_error"} & set(figures.sampled) else ""
-
-
-def _share(ratio: float) -> str:
-    return f"{ratio:.3g} times the size" if ratio > 1 else f"{100 * ratio:.3g} %"

@@ -14,17 +14,18 @@ from pwatrack.control.headroom import Headroom
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
+from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.synthesis import synthesize
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
+from pwatrack.simulation.acting import Acting, acting
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
-from pwatrack.simulation.startup import measured_start
-from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, periodic_state
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
@@ -85,7 +86,16 @@ def asked_of(spec: Spec, room: Headroom | None, controller: ProvedController) ->
         corners=lambda plant: corners(problem.parametric, plant, goals.uncertain),
         solver=goals.solver,
         sampled=controller.sampled_gains(sampling) if sampling is not None and corrects else None,
+        acting=lambda proved, errors: _acting(spec, proved, errors),
     )
+
+
+def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> Acting | None:
+    """Return how large what acts on the errors of a sampled loop gets in the run; None where that is not known."""
+    conditions, duration = spec.scenario.conditions, spec.scenario.duration
+    with suppress(PwatrackError):  # a start that is refused is so where it runs
+        return acting(controller, conditions, errors, _generator_start(spec, controller)[0], duration)
+    return None
 
 
 def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom | None]:
@@ -142,9 +152,8 @@ def simulate(
 
     Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
 
-    Args:
-        controller: What `design(spec)` returned; designed first if not given, also where x_d grows without bound.
-        runs: Where the controller is sampled, the program of it, if it was kept; else it is made.
+    The controller is what `design(spec)` returned; designed first if not given, also where x_d grows without bound.
+    Where it is sampled, `runs` is the program of it, if it was kept; else it is made.
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
@@ -175,26 +184,30 @@ def simulate(
 def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
 
-    Raises:
-        PwatrackError: If the spec says it twice, or with wrong lengths.
+    Raises PwatrackError if the spec says it twice, or with wrong lengths.
     """
-    controller, initial = loop.controller, spec.scenario.initial
-    n, p = spec.problem.plant.A.shape[1], controller.trajectory.rate.shape[1]
-    trajectory, generator = controller.trajectory, controller.generator
+    controller, initial, n = loop.controller, spec.scenario.initial, spec.problem.plant.A.shape[1]
     if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
         raise start_given_twice(("simulation", "initial", "generator"))
-    fixed = trajectory.eta0
-    eta = generator_start(spec, trajectory, generator) if fixed is None else fixed
-    steady_state = _steady_state(spec, controller, eta)
-    if steady_state is not None and starts_periodic(spec):
-        fixed = eta = steady_state.z[0, :p]
-    x = plant_start(spec, trajectory, generator, fixed)
+    eta, steady_state = _generator_start(spec, controller)
+    fixed = controller.trajectory.eta0 is not None or (steady_state is not None and starts_periodic(spec))
+    x = plant_start(spec, controller.trajectory, controller.generator, eta if fixed else None)
     observer = (
         measured_start(loop, x)
         if isinstance(initial.observer, Measured)
         else initial_values(initial.observer, n, "observer")
     )
     return loop.start(plant=x, observer=observer, generator=eta), steady_state
+
+
+def _generator_start(spec: Spec, controller: ProvedController) -> tuple[Array, SteadyState | None]:
+    """Return η̂(0), (p,), and a period of the steady state where there is one."""
+    trajectory, fixed = controller.trajectory, controller.trajectory.eta0
+    eta = generator_start(spec, trajectory, controller.generator) if fixed is None else fixed
+    steady_state = _steady_state(spec, controller, eta)
+    if steady_state is not None and starts_periodic(spec):
+        eta = steady_state.z[0, : trajectory.rate.shape[1]]
+    return eta, steady_state
 
 
 def _run(spec: Spec, loop: ClosedLoop, start: Array) -> tuple[Response, Figures, RunMonitor, TraceOnDisk | None]:
@@ -236,7 +249,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
         message = f"start: periodic, but the inputs together have a period of {period:.3g} s, {radians:.3g} rad of the "
         message += f"fastest; up to {LONGEST_PERIOD:.0e} are followed"
         hint = "give x_d(0) as start, or inputs whose frequencies have simpler ratios"
-        raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
+        raise InvalidSpec(message, subject=("reference", "start"), hint=hint)
     start = np.concatenate([eta_hat0, system.w0, [1.0]])
     return periodic_state(desired_flow(controller.plant, trajectory), start, free=p, period=period)
 

@@ -23,33 +23,19 @@ from pwatrack.workflow.tracking import reference_remarks
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedLoop:
-    """A designed and simulated closed loop.
+    """A designed and simulated closed loop."""
 
-    Attributes:
-        spec: What was asked.
-        controller: Gains, desired trajectory and their proofs.
-        loop: The closed loop.
-        response: Its signals; of a run with more than a few hundred thousand samples only every so many-th, and
-            in events only what these show.
-        figures: What was measured over all samples.
-        outcome: How the run ended, said by all samples.
-        start: z(0).
-        steady_state: One period of the generator's steady state (η̂, w, 1) with its Floquet multipliers,
-            or None if it has none.
-        spool: All samples and events of a run of which `response` has not all.
-        w: Of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
-            enclosed: see `workflow.bands`, (10, n). None where that took too long.
-    """
-
-    spec: Spec
-    controller: ProvedController
-    loop: ClosedLoop
-    response: Response
-    figures: Figures
-    outcome: Outcome
-    start: Array
-    steady_state: SteadyState | None
-    spool: TraceOnDisk | None
+    spec: Spec  # what was asked
+    controller: ProvedController  # gains, desired trajectory and their proofs
+    loop: ClosedLoop  # the closed loop
+    response: Response  # its signals; of a very long run only every so many-th, and in events only what these show
+    figures: Figures  # what was measured over all samples
+    outcome: Outcome  # how the run ended, said by all samples
+    start: Array  # z(0)
+    steady_state: SteadyState | None  # one period of the generator's (η̂, w, 1), or None if it has none
+    spool: TraceOnDisk | None  # all samples and events of a run of which `response` has not all
+    # of uncertain parameters, how large each entry of w gets in each tenth of the run for any plant of the box,
+    # enclosed: see `workflow.bands`, (10, n). None where that took too long.
     w: Array | None = None
 
     @property

@@ -9,7 +9,7 @@ from pwatrack.control.applicability import PRACTICAL, Applicability
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import synthesize
-from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError, Undecided
+from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.scalar_form import scalar_form
@@ -92,8 +92,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     made = merged_spec(spec, ways)
     found = [_bounded(made, plant, ways, refusal, designed)]
     if plant.loads is None:
-        watching = merged_spec(spec, ways, watched=True)
-        found.append(_bounded(watching, plant, ways, refusal, designed))
+        found.append(_bounded(merged_spec(spec, ways, watched=True), plant, ways, refusal, designed))
 
     def bound(made: ProvedController) -> float:  # what the tracking error ends below, of several entries in sizes
         return made.claim(Practical).leaves_norm(made.tracking, made.error_sizes.tolist())
@@ -126,12 +125,11 @@ def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = F
 
 
 def _solve(spec: Spec) -> None:
-    """Solve (17), (8) and (9), or raise."""
     _, generator = desired_trajectory(spec, False)
     plant = spec.problem.plant if generator is None else generator.form.plant
     if plant.repair is not None and spec.problem.plant.repair is None:
         message = "the merged plant has the form (11) but for rounding"
-        raise OutsideTheory(Problem(message=message))
+        raise OutsideTheory(message)
     goals = spec.objectives
     synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec))
 

@@ -39,13 +39,6 @@ def spec_sizes(spec: Spec) -> Sizes:
     limits; how far the reference moves the signal for more than a moment, half of its range, or where it rests; for a
     state half the width of the region that members of an ensemble start in. The rest, and the speed, is what balances
     the plant. An output that the file gives no size is at least as large as its noise: what is below cannot be seen.
-
-    Example: the paper's reference moves the first mass by 0.15 m, at up to 0.94 m/s.
-
-        >>> from pwatrack import load_spec
-        >>> sizes = spec_sizes(load_spec("specs/two_mass_backlash.yaml"))
-        >>> sizes.state.round(2).tolist()[:2], sizes.origins["v1"], sizes.origins["v2"]
-        ([0.15, 0.94], 'reference', 'balanced')
     """
     plant, known = spec.problem.plant, dict[str, tuple[float, Origin]]()
     tempo, noise = _SPAN / spec.scenario.duration, spec.scenario.conditions.noise

@@ -12,7 +12,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.simulation.startup import consistent_start, from_measured
+from pwatrack.simulation.steady_state import consistent_start, from_measured
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
 
@@ -68,9 +68,7 @@ def initial_values(values: Array | None, length: int, part: str) -> Array:
         return np.zeros(length)
     if len(values) != length:
         subject: Subject = ("simulation", "initial", part)
-        raise InvalidSpec(
-            Problem(message=f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
-        )
+        raise InvalidSpec(f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
     return values
 
 
@@ -82,10 +80,7 @@ def starts_of(
     Noise and steps of a sensor are left out, and a disturbance that is no load which is estimated. Estimates of loads
     start at 0.
 
-    Args:
-        plant_at: x(0).
-        generator: η̂(0), if it is known.
-        sizes: In which the observer makes the least of what is measured.
+    `plant_at` is x(0), `generator` η̂(0) if it is known; in the sizes the observer makes the least of what is measured.
     """
     plant, initial, regions = spec.problem.plant, spec.scenario.initial, spec.scenario.regions
     if "generator" in regions or (generator is None and trajectory.names):

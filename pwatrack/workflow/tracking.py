@@ -12,7 +12,7 @@ from pwatrack.control.modes import check_loads
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.profile import Table
 from pwatrack.model.reference import (
@@ -37,11 +37,6 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     """Check what can be known of the reference before an inequality is solved, and say it in a few words.
 
     That is: bounded, smooth enough for the relative degree (Theorem 3), realisable (3), an equilibrium of some cell.
-
-    Example:
-        >>> from pwatrack import load_spec
-        >>> check_reference(load_spec("specs/two_mass_backlash.yaml"))
-        'y_d is bounded and smooth enough for relative degree 2'
     """
     problem = spec.problem
     with spec.located():
@@ -115,7 +110,7 @@ def _state_desired(spec: Spec) -> DesiredTrajectory:
         if starts_periodic(spec) and u_ff.period is None and not u_ff.constant:
             message = "start: periodic, but the inputs together have no period"
             hint = "give x_d(0) as start, or inputs whose frequencies have whole-number ratios"
-            raise InvalidSpec(Problem(message=message, subject=("reference", "start"), hint=hint))
+            raise InvalidSpec(message, subject=("reference", "start"), hint=hint)
         return input_trajectory(plant, u_ff, reference.start)
     _check(signals, 1, ("reference", "state"), "x_d")
     x_d = state_trajectory(plant, exosystem(signals))
@@ -186,4 +181,4 @@ def start_given_twice(subject: Subject) -> InvalidSpec:
     """Return the refusal of a start of the desired trajectory beside that of the reference."""
     where = ".".join(map(str, subject))
     message = f"{where}: the reference itself says where the desired trajectory starts"
-    return InvalidSpec(Problem(message=message, subject=subject, hint="leave it out"))
+    return InvalidSpec(message, subject=subject, hint="leave it out")

@@ -10,14 +10,14 @@ import numpy as np
 
 from pwatrack.arrays import Array, IntArray, amount
 from pwatrack.causes import Subject
-from pwatrack.errors import ExitCode, InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.simulation.startup import measured_start
+from pwatrack.simulation.steady_state import measured_start
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
 from pwatrack.workflow.outcome import Outcome, RunMonitor
@@ -33,23 +33,14 @@ _SPREAD = 0.05  # of the value of a parameter
 
 @dataclass(frozen=True, kw_only=True)
 class Variation:
-    """What differs between the members of an ensemble.
+    """What differs between the members of an ensemble."""
 
-    Attributes:
-        over: The kind of what differs.
-        given: Whether the spec says how much; else it is the default.
-        regions: What the members are drawn from, by part.
-        names: Of the entries of each region.
-        values: What was drawn, by name, one for each member.
-        member: Returns a member by its index.
-    """
-
-    over: Over
-    given: bool
-    regions: Mapping[str, Region]
-    names: Mapping[str, tuple[str, ...]]
-    values: Mapping[str, Array | IntArray]
-    member: Callable[[int], Member]
+    over: Over  # the kind of what differs
+    given: bool  # whether the spec says how much; else it is the default
+    regions: Mapping[str, Region]  # what the members are drawn from, by part
+    names: Mapping[str, tuple[str, ...]]  # of the entries of each region
+    values: Mapping[str, Array | IntArray]  # what was drawn, by name, one for each member
+    member: Callable[[int], Member]  # returns a member by its index
 
     @property
     def text(self) -> str:
@@ -60,23 +51,14 @@ class Variation:
 
 @dataclass(frozen=True, kw_only=True)
 class EnsembleResult:
-    """What became of a closed loop in many variations.
+    """What became of a closed loop in many variations."""
 
-    Attributes:
-        nominal: The run that was varied.
-        variation: What differs.
-        seed: Of the random numbers.
-        ensemble: The members; number k in files and messages is index k − 1.
-        outcomes: How each member ended, judged as a single run is.
-        figures: What was measured of each, as of a single run.
-    """
-
-    nominal: SimulatedLoop
-    variation: Variation
-    seed: int
-    ensemble: Ensemble
-    outcomes: tuple[Outcome, ...]
-    figures: tuple[Figures, ...]
+    nominal: SimulatedLoop  # the run that was varied
+    variation: Variation  # what differs
+    seed: int  # of the random numbers
+    ensemble: Ensemble  # the members; number k in files and messages is index k − 1
+    outcomes: tuple[Outcome, ...]  # how each member ended, judged as a single run is
+    figures: tuple[Figures, ...]  # what was measured of each, as of a single run
 
     @property
     def failed(self) -> tuple[int, ...]:
@@ -104,43 +86,37 @@ def ensemble(
 ) -> EnsembleResult:
     """Run a simulated closed loop again in many variations: what `pwatrack.api.ensemble` does, which says the rest.
 
-    Args:
-        result, count, seed, workers, progress: As there.
-        over: What differs. "initial": the initial states, drawn uniformly from the regions of the spec; where it
-            says none, each state of the plant starts within the largest size it has in `result` of its nominal start.
-            "parameters": those of the plant, drawn uniformly from the intervals of the spec; where it says none, from
-            5 % around each value that matters to the plant. "noise": the seed of the noise.
-        executor: Who does the work instead of threads here, `workers` parts at a time. The result does not depend on
-            it either.
+    What differs is for "initial" the initial states, drawn uniformly from the regions of the spec; where it says none,
+    each state of the plant starts within the largest size it has in `result` of its nominal start. For "parameters" it
+    is those of the plant, drawn uniformly from the intervals of the spec; where it says none, from 5 % around each
+    value that matters to the plant. For "noise" it is the seed. An executor does the work instead of threads here,
+    `workers` parts at a time; the result does not depend on it either.
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
     if count * samples > _MOST_KEPT:
         message = f"{count:,} members with {samples:,} samples each, at most {_MOST_KEPT:,} samples in all are kept"
-        raise InvalidSpec(
-            Problem(message=message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")
-        )
+        raise InvalidSpec(message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")
     with spec.located():
         variation = _VARIED[over](result, count, seed)
         if executor is None:
             kept = _simulated(spec, variation, range(count), workers, progress)
         else:
             kept = _handed_on(executor, result, (over, count, seed), workers or 1, progress)
-        judged = cast("tuple[tuple[Outcome, Figures], ...]", kept.verdicts)
+        outcomes, figures = zip(*cast("tuple[tuple[Outcome, Figures], ...]", kept.verdicts), strict=True)
         return EnsembleResult(
             nominal=result,
             variation=variation,
             seed=seed,
             ensemble=kept,
-            outcomes=tuple(outcome for outcome, _ in judged),
-            figures=tuple(figures for _, figures in judged),
+            outcomes=outcomes,
+            figures=figures,
         )
 
 
 def _simulated(
     spec: Spec, variation: Variation, which: range, workers: int | None, progress: Callable[[int], object] | None = None
 ) -> Ensemble:
-    """Return some members of an ensemble."""
     return simulate_ensemble(
         variation.member,
         len(which),
@@ -208,7 +184,7 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
             if drawn.shape[1] != len(etas):
                 message = f"{'.'.join(map(str, subject))}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
                 message += "one for each state of the generator"
-                raise InvalidSpec(Problem(message=message, subject=subject))
+                raise InvalidSpec(message, subject=subject)
         starts[:, where] = drawn
     for start in starts:
         _observe(spec, loop, start)
@@ -259,7 +235,7 @@ def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
     if noise is None:
         message = "the spec has no simulation.noise: without it all members are the same"
         hint = f"for example noise: {{std: {{{result.spec.problem.plant.outputs[0]}: 1e-3}}, sample_time: 0.01}}"
-        raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
+        raise InvalidSpec(message, subject=("simulation",), hint=hint)
     seeds = np.random.default_rng([seed, 4]).integers(2**53, size=count)
     first = _member(result, loop)
 
@@ -322,7 +298,7 @@ def _near(result: SimulatedLoop) -> dict[str, tuple[float, float]]:
     if not intervals:
         message = "the spec has no simulation.ensemble.parameters, and its plant depends on no parameter"
         hint = "declare the numbers that vary under 'parameters' and use their names in 'system'"
-        raise InvalidSpec(Problem(message=message, subject=("simulation",), hint=hint))
+        raise InvalidSpec(message, subject=("simulation",), hint=hint)
     return intervals
 
 

@@ -1,0 +1,142 @@
+"""What a bounded scalar can do to a switched system with a clock: tubes that depend on the time since a tick.
+
+Let z be as in `clocked`, and driven by a scalar |d| ≤ 1, z' = F(t) (z + E d) + G d between ticks, or z⁺ = J z + Γ d at
+them. With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part of the period, and g_i = F_i E + G,
+
+    −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i g_iᵀ / a ≺ 0    for e = k and e = k + 1, all k, all i
+    R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ Γᵀ / b ≺ Q_0 of the first, for all j
+
+V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 − b) V + b d² at them; what acts only at one of both has
+a = 0 or b = 0 at the other, without the last term. So from z = 0 always V ≤ 1, from everywhere V ends below 1, and
+|c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in `docs/theory/beyond.md`).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.clocked import Clocked, shrunk
+from pwatrack.lmi.exact import Packed, left_side, rounded_down
+from pwatrack.lmi.norm import root_above, square_above
+from pwatrack.lmi.tube_program import TubeProgram
+from pwatrack.rational import Rational, is_positive_definite, number, scalar
+
+_BITS = (40, 80)  # of the entries of Q_k
+_SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """How a scalar acts: between ticks or at them.
+
+    Attributes:
+        held: E, (n, 1): beside what of z.
+        between: G, (n, 1).
+        ticks: Γ, (n, 1); None where it acts between ticks.
+    """
+
+    held: BallMatrix
+    between: BallMatrix
+    ticks: BallMatrix | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tube:
+    """Q_0 … Q_N ≻ 0 of each part that satisfy the inequalities above, proved exactly, and c Q_k cᵀ ≤ size² for rows c.
+
+    Attributes:
+        Q: At the knots, those of the first part first.
+        a: In 1/s, a short decimal; 0 where d acts at ticks.
+        b: A short decimal; 0 where d acts between ticks.
+        sizes: One for each c, rounded up.
+    """
+
+    Q: tuple[Packed, ...]
+    a: float
+    b: float
+    sizes: tuple[float, ...]
+
+
+def tube(program: TubeProgram, driven: Drive, rows: BallMatrix, weights: Array, decay: float) -> Tube | None:
+    """Return a tube in which Σ weight c Q cᵀ is small, or None where none is proved.
+
+    Args:
+        program: Of the system.
+        driven: How d acts.
+        rows: c, (s, n).
+        weights: Of each, (s,).
+        decay: a in 1/s, or what b makes up for in a period: less than twice the rate with which z falls.
+
+    Example: z' = −2 z + 3 d, and ticks that change nothing: |z| ≤ 3/2.
+
+        >>> one, nothing = BallMatrix.of([[1]]), BallMatrix.of([[0]])
+        >>> system = Clocked(F=[BallMatrix.of([[-2]])], J=[one], period=Fraction(1, 10))
+        >>> program = TubeProgram(system=system, near=np.eye(1), knots=1)
+        >>> found = tube(program, Drive(held=nothing, between=BallMatrix.of([[3]])), one, np.ones(1), 2.0)
+        >>> 1.5 < found.sizes[0] < 1.51
+        True
+    """
+    system, ticks = program.system, driven.ticks
+    a, b = decay, 0.0
+    if ticks is not None:
+        a, b = 0.0, rounded_down(-float(np.expm1(-decay * float(system.period))), 3)
+    g = np.array([(F @ driven.held + driven.between).floats[:, 0] for F in system.F])
+    kick = np.zeros(g.shape[1]) if ticks is None else ticks.floats[:, 0]
+    for slack in _SLACKS:
+        found = program.smallest(g, kick, rows.floats, weights, a=a, b=b, slack=slack)
+        if found is None:
+            return None
+        for bits in _BITS:
+            Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found)
+            if contains(system, driven, Q, a, b):
+                return Tube(Q=Q, a=a, b=b, sizes=tuple(sizes_in(Q, rows)))
+    return None
+
+
+def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: float) -> bool:
+    """Say whether Q satisfy the inequalities, decided in fractions, for everything in the balls; a, b as they print."""
+    N = len(Q) // system.parts - 1
+    if N < 1 or len(Q) != system.parts * (N + 1) or not all(is_positive_definite(Q_k.P) for Q_k in Q):
+        return False
+    parts = [Q[j : j + N + 1] for j in range(0, len(Q), N + 1)]
+    if not all(is_positive_definite(left) for left in _jumps(system, driven, parts, Fraction(repr(b)))):
+        return False
+    slope, columns = number(Fraction(N * system.parts) / system.period), _columns(system, driven)
+    for part in parts:
+        for one, other in pairwise(part):
+            for Q_e in (one, other):
+                rest = scalar(a) * Q_e.P - (other.P - one.P) * slope
+                for F, column in zip(system.F, columns, strict=True):
+                    pushed = rest + square_above(column, [1 / Fraction(repr(a))], Q_e.scale) if a else rest
+                    if not is_positive_definite(left_side(F, Q_e) - pushed):
+                        return False
+    return True
+
+
+def sizes_in(Q: Sequence[Packed], rows: BallMatrix) -> Iterator[float]:
+    """Yield max_k (c Q_k cᵀ)^½ for each row, rounded up."""
+    squares = [rows @ BallMatrix(Q_k.P) @ rows.transpose() for Q_k in Q]
+    most = [X.centre if X.radius is None else X.centre + X.radius for X in squares]
+    for k in range(rows.shape[0]):
+        yield max(root_above(X[k, k]) for X in most)
+
+
+def _columns(system: Clocked, driven: Drive) -> list[BallMatrix]:
+    """Return g_i."""
+    return [F @ driven.held + driven.between for F in system.F]
+
+
+def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Packed]], b: Fraction) -> Iterator[Rational]:
+    """Yield what is to be positive definite at ticks and at the ends of parts."""
+    first, last = parts[0][0], parts[-1][-1]
+    kicked = first.P if driven.ticks is None else first.P - square_above(driven.ticks, [1 / b], first.scale)
+    for J in system.J:
+        yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
+    for before, after in pairwise(parts):
+        assert system.between is not None
+        yield shrunk(system.between.transpose(), (before[-1].P, before[-1].scale), (after[0].P, after[0].scale))

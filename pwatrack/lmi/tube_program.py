@@ -1,0 +1,168 @@
+"""Tubes looked for in floating point: what they have to satisfy is in `clocked_tubes`, and proved there.
+
+In coordinates in which a form that is proved to fall is I, and in which what drives is of size 1. Of many vertices few
+decide: those that the tubes found so far do not satisfy are added, until all are satisfied.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from pwatrack.arrays import Array, IntArray
+from pwatrack.lmi.clocked import Clocked, looked_for
+from pwatrack.lmi.cone_program import minimise
+from pwatrack.lmi.margin_program import MarginProgram
+
+_GAP = 1e-4  # share of the cost that may be missed
+_FIRST = 8  # vertices that are asked for at first, at each end of a segment
+_WORST = 8  # that are added there where some are not satisfied
+_ROUNDS = 12  # in which they are added
+_FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
+
+Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
+Block = tuple[dict[int, Array], Array]  # Σ X_k svec Q_k is to be above this matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeProgram:
+    """Looks for tubes of one system; what the search for one finds out about vertices serves the next.
+
+    Attributes:
+        system: What z obeys.
+        near: A form P_0 that is proved to fall, (n, n).
+        knots: Segments of each part.
+    """
+
+    system: Clocked
+    near: Array
+    knots: int
+    _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
+
+    def smallest(
+        self, g: Array, kick: Array, rows: Array, weights: Array, *, a: float, b: float, slack: float
+    ) -> list[Array] | None:
+        """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ; None where none is found.
+
+        Args:
+            g: What drives z' at each vertex, (v, n).
+            kick: Γ, (n,).
+            rows, weights: c, (s, n), and of each, (s,).
+            a, b: As in `clocked_tubes`.
+            slack: Share of the size of what drives by which inequalities are to hold.
+        """
+        L = np.linalg.cholesky(self.near).T
+        back = np.linalg.inv(L)
+        F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
+        driving, kicking = g @ L.T / np.sqrt(a or np.inf), L @ kick / np.sqrt(b or np.inf)
+        size = max(float((driving**2).max()), float((kicking**2).max()))
+        if not 0 < size < np.inf:
+            return None
+        W = (rows @ back).T * weights @ (rows @ back)
+        W = W + _FADING * np.eye(len(L))
+        rest = slack * np.eye(len(L))
+        pushed = rest + driving[:, :, None] * driving[:, None, :] / size
+        between = self.system.between
+        R = np.eye(len(L)) if between is None else L @ between.floats @ back
+        jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kicking, kicking) / size) for J_j in J]
+        found = self._solved(F + a / 2 * np.eye(len(L)), pushed, jumps, (R, rest), W)
+        return None if found is None else [size * back @ Q @ back.T for Q in found]
+
+    @property
+    def most(self) -> float:
+        """No z falls faster for all vertices, in 1/s: what one does by itself."""
+        return looked_for(self.system, self.knots).most
+
+    @property
+    def count(self) -> int:
+        """How many knots there are."""
+        return self.system.parts * (self.knots + 1)
+
+    @property
+    def step(self) -> float:
+        """Time between knots."""
+        return float(self.system.period) / (self.system.parts * self.knots)
+
+    @property
+    def segments(self) -> list[Segment]:
+        """Both ends of all segments."""
+        starts = [j * (self.knots + 1) + k for j in range(self.system.parts) for k in range(self.knots)]
+        return [(k, k + 1, e) for k in starts for e in (k, k + 1)]
+
+    def _solved(
+        self, F: Array, pushed: Array, jumps: Sequence[tuple[Array, Array]], reset: tuple[Array, Array], W: Array
+    ) -> Array | None:
+        """Return Q at the knots that satisfy all inequalities, (knots, n, n), or None."""
+        maps, size = MarginProgram(len(W), self.count), self.knots + 1
+        R, rest = reset
+        ends = [(j * size, j * size - 1, R, rest) for j in range(1, self.system.parts)]
+        fixed = [({k: maps.eye, last: -maps.congruence(X.T)}, above) for k, last, X, above in ends]
+        for J, above in jumps:
+            T = self._seen(J)
+            turn = maps.congruence(T.T)
+            fixed.append(({0: turn, self.count - 1: -maps.congruence((T @ J).T)}, T @ above @ T.T))
+        first = np.unique(np.linspace(0, len(F) - 1, _FIRST).astype(int)).tolist()
+        for segment in self.segments:
+            self._asked.setdefault(segment, list(first))
+        for _ in range(_ROUNDS):
+            blocks = fixed + [self._block(maps, s, F[i], pushed[i]) for s, some in self._asked.items() for i in some]
+            Q = _least(maps, blocks, W, self._rising)
+            if Q is None:
+                return None
+            added = 0
+            for segment, asked in self._asked.items():
+                k, after, e = segment
+                product = F @ Q[e]
+                left = Q[after] - Q[k] - self.step * (product + product.transpose(0, 2, 1) + pushed)
+                least = np.linalg.eigvalsh(left)[:, 0]
+                new = [i for i in np.argsort(least)[:_WORST].tolist() if least[i] < 0 and i not in asked]
+                asked += new
+                added += len(new)
+            if not added:
+                return Q
+        return None
+
+    def _block(self, maps: MarginProgram, segment: Segment, F: Array, pushed: Array) -> Block:
+        k, after, e = segment
+        terms = {k: -maps.eye, after: maps.eye}
+        terms[e] = terms[e] - self.step * maps.lyapunov(F.T)
+        return {j: X / self.step for j, X in terms.items()}, pushed
+
+    @property
+    def _rising(self) -> Array:
+        """Return what makes Q_k of Q_0 and of rates between knots: these are not lost in rounding, (knots, knots)."""
+        size = self.knots + 1
+        added = np.array([1.0 if k % size == 0 else self.step for k in range(self.count)])
+        return np.asarray(np.tril(np.ones((self.count, self.count))) * added)
+
+    def _seen(self, J: Array) -> Array:
+        """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
+        U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
+        return np.asarray(U.T / np.sqrt(np.clip(s, self.most * float(self.system.period), 1.0))[:, None])
+
+
+def _least(maps: MarginProgram, blocks: Sequence[Block], W: Array, rising: Array) -> Array | None:
+    """Return Q_k with the least tr W ΣQ_k among those that satisfy some inequalities."""
+    rows, columns, values = list[IntArray](), list[IntArray](), list[Array]()
+    for at, (terms, _) in enumerate(blocks):
+        for j in range(maps.count):
+            X = sum(rising[k, j] * X_k for k, X_k in terms.items())
+            row, column = np.nonzero(X)
+            rows.append(np.asarray(row + at * maps.size, dtype=np.int64))
+            columns.append(np.asarray(column + j * maps.size, dtype=np.int64))
+            values.append(-X[row, column])
+    shape = len(blocks) * maps.size, maps.count * maps.size
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    sides = np.concatenate([-maps.svec(above) for _, above in blocks])
+    cost = np.outer(rising.sum(axis=0) / maps.count, maps.svec(W)).ravel()
+    cones = [clarabel.PSDTriangleConeT(maps.n)] * len(blocks)
+    try:
+        answer = minimise(cost, sparse.coo_matrix(entries, shape=shape).tocsc(), sides, cones, _GAP)
+    except ArithmeticError:
+        return None
+    if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
+        return None
+    x = np.array(answer.x).reshape(maps.count, maps.size)
+    return np.asarray(np.tensordot(rising @ x, maps.basis, 1))
