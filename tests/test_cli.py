@@ -312,6 +312,7 @@ def test_what_only_an_earlier_run_had_is_dropped_and_other_files_stay(
         "controller.json",
         "run.json",
         "spec.txt",
+        "summary.txt",
     }
     assert set(contents(out)) == {*made, "notes.txt"}
 

@@ -99,6 +99,9 @@ def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
     """Yield what no claim takes in of what is not as the theorems assume."""
     conditions, proved = spec.scenario.conditions, any(c.proof is not None for c in controller.claims_of(SampledLoop))
+    loads, disturbance = controller.plant.loads, conditions.disturbance
+    if loads is not None and disturbance is not None and loads.are(disturbance):
+        conditions = replace(conditions, disturbance=None)
     if assessment.ends:
         quanta = conditions.quanta
         steps = quanta is not None and bool(quanta.inputs.any())

@@ -17,6 +17,7 @@ from pwatrack.simulation.modes import NOTHING
 _POINTS = 400  # of a grid of frequencies, beside those around each mode
 _BEYOND = 100.0  # times the fastest mode and below the slowest it goes
 _AROUND = np.linspace(-5.0, 5.0, 11)  # half widths of a resonance that are looked at
+_BESIDE = 1 + 1e-7  # at a mode that is not damped there is no L(jω)
 _ROUNDS = 40  # of halving the interval of a crossing
 _MOST_WORK = 3_000_000_000  # cells · inputs · frequencies · order³: a few seconds
 
@@ -100,7 +101,7 @@ def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
     passing = _crossings(transfer, grid, lambda L: np.log(np.abs(L) + np.finfo(float).tiny))
     angles = np.angle(transfer(passing)) if len(passing) else np.zeros(0)
     turned = transfer(_crossings(transfer, grid, lambda L: L.imag))
-    ends = transfer(grid[[0, -1]])  # towards 0 and without end it is real
+    ends = transfer(grid[:1])  # towards 0 it is real
     factors = [1 / L.real for L in (*turned, *ends[np.abs(ends.imag) <= 0.1 * np.abs(ends.real)]) if L.real > 0]
     low, high = max((f for f in factors if f < 1), default=0.0), min((f for f in factors if f > 1), default=np.inf)
     return Margins(
@@ -119,7 +120,7 @@ def _grid(values: NDArray[np.complex128]) -> Frequencies:
     sizes = sizes[sizes > NOTHING * sizes.max(initial=0.0)]
     low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
     near = (np.abs(values.imag)[:, None] + np.abs(values.real)[:, None] * _AROUND).ravel()
-    grid = np.concatenate([np.geomspace(low / _BEYOND, high * _BEYOND, _POINTS), near])
+    grid = np.concatenate([np.geomspace(low / _BEYOND, high * _BEYOND, _POINTS), near * _BESIDE])
     return np.unique(grid[grid >= low / _BEYOND])
 
 
