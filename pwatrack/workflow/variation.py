@@ -254,9 +254,7 @@ _NUMBERS = attrgetter("A", "b", "B", "C", "tracked", "partition.H", "partition.h
 
 
 def _member(result: SimulatedLoop, loop: ClosedLoop) -> Member:
-    resets = tuple(loop.resets(result.spec.scenario.duration))
-
-    spec = result.spec
+    spec, start = result.spec, result.start.copy()
 
     def judge(trace: Trace) -> tuple[Outcome, Figures]:
         watch, response = RunMonitor(loop, len(trace.t), units=spec.problem.units), loop.response(trace)
@@ -264,15 +262,9 @@ def _member(result: SimulatedLoop, loop: ClosedLoop) -> Member:
         figures = Figures.of(response, loop, **spec.measured)
         return watch.outcome(figures), figures
 
-    start = result.start.copy()
     _observe(spec, loop, start)
-    return Member(
-        flow=loop.flow,
-        z0=start,
-        error=loop.tracking_error / loop.controller.error_sizes[:, None],
-        resets=resets,
-        judge=judge,
-    )
+    error, resets = loop.tracking_error / loop.controller.error_sizes[:, None], loop.resets(spec.scenario.duration)
+    return Member(flow=loop.flow, z0=start, error=error, resets=tuple(resets), judge=judge)
 
 
 def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
