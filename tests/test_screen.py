@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pwatrack import design, load_spec
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.workflow.bands import declared
 from pwatrack.workflow.cautions import assessed
@@ -80,14 +81,25 @@ def test_rows_that_have_no_room_give_way_in_the_order_of_their_weight() -> None:
 
 
 def test_what_is_declared_times_its_bound_is_what_is_said_in_the_end(tmp_path: Path) -> None:
-    """Three standard deviations and half a step of the sensor, and the amplitude of the disturbance."""
-    spec = load_spec(stage(tmp_path, more=MUCH))
+    """Three standard deviations of the sensor, and the amplitude of the disturbance."""
+    spec = load_spec(
+        stage(tmp_path, more=MUCH.replace("  quantum: {y: 0.001}\n  controller: {sample_time: 0.01}\n", ""))
+    )
     made = design(spec)
     acting = declared(spec, made)
-    assert acting == {("noise", 0): pytest.approx(0.0605), ("disturbance", 1): pytest.approx(0.2, rel=1e-3)}
+    assert acting == {("noise", 0): pytest.approx(0.06), ("disturbance", 1): pytest.approx(0.2, rel=1e-3)}
     sizes = {bounds.channel: bounds.sizes["output", 0] for bounds in made.bounds}
     total = sum(sizes[channel] * size for channel, size in acting.items())
     assert assessed(spec, made).ends["output", 0] == pytest.approx(total)
+
+
+def test_where_the_sampled_loop_is_bounded_that_is_what_is_said_in_the_end(tmp_path: Path) -> None:
+    spec = load_spec(stage(tmp_path, more=MUCH))
+    made = design(spec)
+    assert declared(spec, made)["noise", 0] == pytest.approx(0.0605)  # and half a step
+    said = assessed(spec, made)
+    assert said.ends == made.claim(SampledBounds).ends_below(made)
+    assert said.condition.startswith("as sampled")
 
 
 def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_warned_of(tmp_path: Path) -> None:
