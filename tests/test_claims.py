@@ -104,7 +104,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
             reference = str(error)
         print_plant(console, spec.name, report, reference, sizes)
         rows += [(False, label, text) for label, text in plant_rows(report, spec.name)]
-        rows.append((False, "check", can_be_designed(report, "", refused=False)))
+        rows += [(False, "check", can_be_designed(report, "", refused=refused)) for refused in (False, True)]
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
         checked = required(spec, controller, result)

@@ -160,7 +160,17 @@ def test_verify_says_what_of_a_run_it_did_not_make_again(box: Path) -> None:
     index = json.loads((box / "run.json").read_text())
     _, _, told = said.partition("but for what it alone tells: ")
     alone = told.split(", ")
-    proved = {"name", "spec_sha256", "parameters", "verdict", "solver", "figures", "limits", "uncertain"}
+    proved = {
+        "name",
+        "spec_sha256",
+        "parameters",
+        "verdict",
+        "solver",
+        "figures",
+        "limits",
+        "uncertain",
+        "limits_active",
+    }
     assert {key for key in index if key not in alone} == proved
     assert {"figures.final_error", "figures.largest_input", "uncertain.along_x_d", "simulation"} <= {*alone}
     assert not {"figures.norm_K", "figures.robust_share_L", "uncertain.rate"} & {*alone}

@@ -360,7 +360,7 @@ def test_starts_of_an_ensemble_and_a_measured_observer_are_those_of_its_members(
 def tank(a: float, b: float, s: float, most: float) -> tuple[Task, InputConstraint]:
     sizes = Sizes(state=np.array([s]), input=np.array([1.0]), output=np.ones(1), speed=1.0)
     task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=sizes)
-    return task, InputConstraint(starts=np.array([[s]]), left=np.array([most]))
+    return task, InputConstraint(starts=[np.array([[s]])], left=np.array([most]))
 
 
 @pytest.mark.slow
@@ -419,7 +419,7 @@ def test_gains_within_limits_keep_them_and_no_regulator_of_heavier_inputs_is_muc
         K = -B.T @ solve_continuous_are(A, B, Q, weight * np.eye(1)) / weight
         if largest(A + B @ K, K, s) <= most:
             tried.append((cost(K), -float(np.linalg.eigvals(A + B @ K).real.max())))
-    within = InputConstraint(starts=np.diag(s), left=np.array([most]))
+    within = InputConstraint(starts=[np.diag(s)], left=np.array([most]))
     K, proof = gain(task, AtLeast(), within)
     assert isinstance(proof, Certificate)
     if within.share(task, K, proof) < 1:
@@ -441,11 +441,11 @@ def test_a_gain_that_keeps_its_limits_anyway_is_the_regulator(tmp_path: Path) ->
     assert np.array_equal(free, limited)
 
 
-@pytest.mark.parametrize("asked", ["{}", "{rate: 0.5}", "{rate: largest}", "{rate: largest, gain: 0.5}"])
+@pytest.mark.parametrize("asked", ["", "rate: 0.5, ", "rate: largest, ", "rate: largest, gain: 0.5, "])
 def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) -> None:
     sizes = "  sizes: {z: 0.5, v: 1}\n  units:"
     text = STAGE.replace("  units:", sizes).replace("slope: 50", "slope: 2")
-    text = text.replace("reference:", f"design: {{controller: {asked}}}\nreference:")
+    text = text.replace("reference:", f"design: {{controller: {{{asked}within: limits}}}}\nreference:")
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
     spec = load_spec(path)
     controller = design(spec)
@@ -457,8 +457,26 @@ def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) 
     print_design(Console(width=200, file=printed), spec, controller)
     said = " ".join(printed.getvalue().split())
     assert " within the limits" in said.partition("(9)")[0]
-    if asked == "{rate: 0.5}":
+    if asked == "rate: 0.5, ":
         assert controller.design.controller.rate >= 0.5
+
+
+def test_limits_leave_the_gain_as_it_is_but_where_it_is_to_keep_them(tmp_path: Path) -> None:
+    """A K that keeps limits of 4 N from errors of 0.5 m is a small one; what a goal settles cannot be within limits."""
+    sizes = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1, u: 5}\n  units:").replace("slope: 50", "slope: 2")
+    kept = sizes.replace("reference:", "design: {controller: {within: limits}}\nreference:")
+    free = sizes.replace("\n  actuator: {limits: {u: LIMITS}}", "")
+    gains = [
+        design(load_spec(written(tmp_path, t, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]"))).design.K
+        for t in (sizes, kept, free)
+    ]
+    assert np.array_equal(gains[0], gains[2])
+    assert np.abs(gains[1][0, 0]) < 0.7 * np.abs(gains[0][0, 0])
+    path = written(tmp_path, kept.replace("\n  actuator: {limits: {u: LIMITS}}", ""), REFERENCE="0.1*sin(t)")
+    assert "'within: limits' is asked of K, and no input has a limit" in refused(call("design", path), 2)
+    for asked in ("gain: smallest, rate: 1", "K: [[-1, -1]]"):
+        path = written(tmp_path, kept.replace("within:", f"{asked}, within:"), REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]")
+        assert "'within' beside it has no meaning" in refused(call("check", path), 2)
 
 
 def test_where_no_gain_keeps_the_limits_it_is_said_from_where_they_are_kept(tmp_path: Path) -> None:
@@ -500,6 +518,7 @@ def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -
     """They are larger than the sizes, so that the gain is smaller; a certificate with other starts is found out."""
     starts = "initial: {plant: [0, 0]}\n  ensemble: {initial: {plant: {z: [-1, 1], v: [-1, 1]}}}"
     text = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1}\n  units:").replace("slope: 50", "slope: 2")
+    text = text.replace("reference:", "design: {controller: {within: limits}}\nreference:")
     gains = []
     for more in (starts, "portraits: []"):
         path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=more)

@@ -223,7 +223,7 @@ def _within_limits(goal: Goal, controller: ProvedController) -> bool:
     """Say whether a gain was to keep limits, and is proved to from all starts that it was designed for."""
     for limited in controller.claims_of(NoSaturation):
         left = limited.room.left
-        if left is not None and isinstance(goal, AtLeast | Fastest):
+        if left is not None and isinstance(goal, AtLeast | Fastest) and goal.within == "limits":
             wanted = "members" if any(one.kind == "members" for one in limited.room.starts) else "exact"
             return any(p.starts.kind == wanted and p.scale(left) >= 1 for p in limited.promises)
     return False

@@ -59,6 +59,46 @@ class StartGuarantee:
         ratios = (float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size)
         return min(ratios, default=np.inf) * (1 - 1e-12)
 
+    def said(self, left: Array, *, loads: bool) -> str:
+        """Say from which starts it is that each |u − u_ff| ≤ left, (m,), of a plant with or without loads."""
+        scale, kind = self.scale(left), self.starts.kind
+        much = f"up to {down(scale)} times its size" if np.isfinite(scale) else "whatever it is"
+        if kind == "exact":
+            idle = ", while no load acts" if loads else ""
+            return f"each |x_k − x_dk| {much} and x̂ = x{idle}"
+        if kind == "sizes":
+            acting = "" if self.starts.load is None else " and each load"
+            return f"each |x_k − x_dk| and |x̂_k − x_k|{acting} {much}"
+        starts = "the start of this run" if kind == "run" else "the starts of its ensemble"
+        starts += " with its loads" if self.starts.load is not None else ""
+        starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
+        return starts + " with x̂ = x" * (kind == "members")
+
+    def figures(self, left: Array, names: Sequence[str]) -> dict[str, Any]:
+        """Return the same as figures."""
+        scale, sizes = self.scale(left), self.held.sizes if self.held else [0.0] * len(self.inputs)
+        of = [names[k] for k in self.inputs]
+        return {
+            "starts": self.starts.kind,
+            "scale": float(scale) if np.isfinite(scale) else None,
+            "inputs": dict(zip(of, sizes, strict=True)),
+            "loads": dict(zip(of, self.loads, strict=True)),
+        }
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """What a certificate holds of it, where it is of an ellipsoid."""
+        assert self.held is not None
+        kind: Literal["drive", "input"] = "input" if self.starts.load is None else "drive"
+        return {
+            "of": self.starts.kind,
+            "loop": self.loop,
+            "starts": decimal_texts(self.starts.G),
+            "weights": [decimal(w) for w in self.held.weights],
+            "Q": packed(self.held.integers, self.held.exponents),
+            "signals": signals(((kind, k), size) for k, size in zip(self.inputs, self.held.sizes, strict=True)),
+        }
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoSaturation(Claim):
@@ -98,20 +138,13 @@ class NoSaturation(Claim):
         if room.left is None or controller.running is not controller.plant:
             yield cls(room=room)
             return
-        known = {
-            of: StartEllipsoid(
-                **whole(entry["Q"]),
-                weights=tuple(map(double, entry["weights"])),
-                sizes=tuple(size for _, size in read_signals(entry["signals"])),
-            )
-            for of, entry in entries.items()
-        }
-        starts = [_nearby(one, entries) for one in room.starts]
+        known = {of: StartEllipsoid(**read_ellipsoid(entry)) for of, entry in entries.items()}
+        starts = [nearby(one, entries) for one in room.starts]
         yield cls(room=room, promises=promises(controller, room.left, starts, known))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the ellipsoids."""
-        return {"limits": [_content(promise, promise.held) for promise in self.promises if promise.held is not None]}
+        return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return by input what the feedforward takes and leaves, and by which scale starts may be off."""
@@ -125,16 +158,7 @@ class NoSaturation(Claim):
             }
             for k in _finite(room)
         }
-        said = [
-            {
-                "starts": p.starts.kind,
-                "scale": float(p.scale(left)) if np.isfinite(p.scale(left)) else None,
-                "inputs": _named(names, p, p.held.sizes if p.held else [0.0] * len(p.inputs)),
-                "loads": _named(names, p, p.loads),
-            }
-            for p in self.promises
-            if left is not None
-        ]
+        said = [p.figures(left, names) for p in self.promises if left is not None]
         return {"limits": {"inputs": inputs, "ever": room.ever, "starts": said}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
@@ -170,19 +194,7 @@ class NoSaturation(Claim):
             return
         never = "no limit is ever reached" if self.room.ever else "no limit is reached in this run"
         for promise in self.promises:
-            scale, kind = promise.scale(left), promise.starts.kind
-            much = f"up to {down(scale)} times its size" if np.isfinite(scale) else "whatever it is"
-            if kind == "exact":
-                idle = ", while no load acts" if loads else ""
-                starts = f"each |x_k − x_dk| {much} and x̂ = x{idle}"
-            elif kind == "sizes":
-                acting = "" if promise.starts.load is None else " and each load"
-                starts = f"each |x_k − x_dk| and |x̂_k − x_k|{acting} {much}"
-            else:
-                starts = "the start of this run" if kind == "run" else "the starts of its ensemble"
-                starts += " with its loads" if promise.starts.load is not None else ""
-                starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
-                starts += " with x̂ = x" * (kind == "members")
+            starts = promise.said(left, loads=loads)
             yield f"in the loop as designed {never} from {starts}"
         if not self.promises:
             yield f"from which starts {never} could not be proved"
@@ -214,21 +226,14 @@ def promises(
         starts: Which starts.
         known: What was proved of starts before, by their kind: then nothing is searched.
     """
-    plant, (K, L) = controller.plant, controller.design.exact
-    n, p = len(plant.B), L.shape[0] - len(plant.B)
-    loops = Loops(plant, K, L, controller.proofs, BallMatrix.of(np.zeros((n, p)), (n, p)), output=False)
-    taken_off = _taken_off(controller.compensation, loops.at_inputs)
+    loops, p = loops_of(controller), len(controller.L) - len(controller.plant.B)
+    off = taken_off(controller.compensation, loops.at_inputs)
     inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[StartGuarantee]()
     for one in starts:
         loop: Loop = "controller" if one.delta is None else "joint"
-        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not taken_off)):
+        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not off)):
             continue
-        kind: Literal["drive", "input"] = "drive" if p and loop == "joint" else "input"
-        rows = reduce(above, (loops.row(loop, (kind, k)) for k in inputs))
-        acting = np.zeros(p) if one.load is None else np.abs(one.load).sum(axis=1)
-        loads = tuple(
-            float(acting[np.array(loops.at_inputs, dtype=int) == k].sum()) if acting.any() else 0.0 for k in inputs
-        )
+        rows, loads = drive_rows(loops, loop, inputs), loads_at(loops, one, inputs)
         promise = StartGuarantee(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
@@ -242,7 +247,33 @@ def promises(
     return tuple(found)
 
 
-def _taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
+def loops_of(controller: ProvedController) -> Loops:
+    """Return the loops of a controller where estimates of loads do not move x_d."""
+    plant, (K, L) = controller.plant, controller.design.exact
+    n, p = len(plant.B), L.shape[0] - len(plant.B)
+    return Loops(plant, K, L, controller.proofs, BallMatrix.of(np.zeros((n, p)), (n, p)), output=False)
+
+
+def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
+    """Return the rows of u − u_ff and what is taken off for loads, for some inputs."""
+    kind: Literal["drive", "input"] = "drive" if loops.n < loops.N and loop == "joint" else "input"
+    return reduce(above, (loops.row(loop, (kind, k)) for k in inputs))
+
+
+def loads_at(loops: Loops, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
+    """Return how large the loads at each of these inputs are together."""
+    acting = np.zeros(loops.N - loops.n) if starts.load is None else np.abs(starts.load).sum(axis=1)
+    at = np.array(loops.at_inputs, dtype=int)
+    return tuple(float(acting[at == k].sum()) if acting.any() else 0.0 for k in inputs)
+
+
+def read_ellipsoid(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of an ellipsoid of starts that a certificate holds."""
+    sizes = tuple(size for _, size in read_signals(entry["signals"]))
+    return {**whole(entry["Q"]), "weights": tuple(map(double, entry["weights"])), "sizes": sizes}
+
+
+def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
     """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
     if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
         return False
@@ -250,7 +281,7 @@ def _taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
     return bool(np.abs(off).max() <= _ROUNDING and np.abs(added.rate).max(initial=0.0) <= _ROUNDING)
 
 
-def _nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
+def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
     G, n, N = starts.G, len(starts.e), 0 if starts.delta is None else len(starts.e)
     told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
@@ -258,22 +289,6 @@ def _nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
         return starts
     delta, load = told[n : n + N] if N else None, None if starts.load is None else told[n + N :]
     return replace(starts, e=told[:n], delta=delta, load=load)
-
-
-def _content(promise: StartGuarantee, around: StartEllipsoid) -> dict[str, Any]:
-    kind: Literal["drive", "input"] = "input" if promise.starts.load is None else "drive"
-    return {
-        "of": promise.starts.kind,
-        "loop": promise.loop,
-        "starts": decimal_texts(promise.starts.G),
-        "weights": [decimal(w) for w in around.weights],
-        "Q": packed(around.integers, around.exponents),
-        "signals": signals(((kind, k), size) for k, size in zip(promise.inputs, around.sizes, strict=True)),
-    }
-
-
-def _named(names: Sequence[str], promise: StartGuarantee, values: Sequence[float]) -> dict[str, float]:
-    return dict(zip((names[k] for k in promise.inputs), values, strict=True))
 
 
 def _peak(peak: Peak, k: int) -> dict[str, list[float]]:

@@ -9,6 +9,7 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.decay import Decay
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
+from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
@@ -23,6 +24,7 @@ CLAIMS: tuple[type[Claim], ...] = (
     Decay,
     Costs,
     NoSaturation,
+    LimitedRegion,
     SignalBounds,
     Robust,
     StableInversion,

@@ -100,10 +100,13 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
     for proof in proofs:
         if isinstance(proof, Dichotomy) and generator is not None:
             generator = replace(generator, certificate=proof)
+    cheaper = content.get("K_of_least_cost")
+    K, L = (doubles(content[name]) for name in ("K", "L"))
+    cheaper = None if cheaper is None else doubles(cheaper)
     controller = ProvedController(
         plant=plant,
         running=plant if content["practical"] is None else true,
-        design=Gains(K=doubles(content["K"]), L=doubles(content["L"]), controller=_NOT_TOLD, observer=_NOT_TOLD),
+        design=Gains(K=K, L=L, controller=_NOT_TOLD, observer=_NOT_TOLD, cheaper=cheaper),
         trajectory=trajectory,
         generator=generator,
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),

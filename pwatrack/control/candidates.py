@@ -1,24 +1,22 @@
 """Gains that may do, in the order in which they are tried. None of them is believed before it is proved."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from pwatrack.arrays import EPS, Array
+from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
-from pwatrack.lmi.ellipsoid import WEIGHINGS, weighed
-from pwatrack.lmi.inequality import Inequality, bounded_cost, quadratic_cost, state_feedback
+from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
+from pwatrack.lmi.limited_gain import LimitedFound, LimitedGain
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import (
-    SemidefiniteProgram,
     Solution,
-    bound_of_gain,
     largest_margin,
     least_cost,
-    of_P,
     smaller_gain,
     smallest_gain,
 )
@@ -76,45 +74,38 @@ class Candidates:
         rows, e = _root(self.at.weights(Q)) @ self.at.inverse, self.at.e
         yield from self._least_cost(rows, e[:, None] * R * e, self.at.T, np.zeros_like(Q))
 
-    def least_worst_cost(self, starts: Array, left: Array, rate: float) -> Iterator[Candidate]:
-        """Yield gains with |K e| within bounds for errors that start in a box, of the least worst cost from there.
+    def least_worst_cost(self, within: InputConstraint, rate: float) -> Iterator[Candidate]:
+        """Yield the gain of the least worst cost from starts, among those with which limits do no harm, if any.
 
-        The weights of the cost are those of `regulator`. Around the box is an ellipsoid, at first the smallest, then
-        one that is narrower where the last answer has little room to spare.
-
-        Args:
-            starts: G (n, k) with e(0) = G ζ, |ζ_k| ≤ 1.
-            left: The bounds (m,); infinite for none.
-            rate: In 1/s.
+        The weights of the cost are those of `regulator`; the rate is in 1/s.
         """
-        shift, rows, R = self._shift(rate, FASTER), self.at.inverse, np.eye(len(left))
+        shift, rows, R = self._shift(rate, FASTER), self.at.inverse, np.eye(len(within.left))
         A, B = self.at.system(self.A) + shift, self.at.input(self.task.B)
         root = self.at.rows(rows)
         at = self.at.of_regulator(A, B, root.T @ root, R)
-        box = _Box.of(at, starts, left)
-        inequality = bounded_cost(at.system(self.A) + shift, at.input(self.task.B), at.rows(rows), R)
-        found, least = list[Candidate](), np.inf
-        for _ in range(WEIGHINGS):
-            solution = solve(box.program(inequality, largest=False), gap=_NEAR)
-            if solution is None or solution.impossible or not _definite(solution.P) or not solution.t < least:
-                break
-            found, least = [self._candidate(at, solution), *found], solution.t
-            box = box.weighed(solution.P)
-        yield from found
+        found = self._limited(at, within, shift).cheapest(at.rows(rows))
+        if found is not None:
+            yield self._candidate(at, found)
 
-    def farthest(self, starts: Array, left: Array, rate: float) -> tuple[Candidate, float] | None:
-        """Return the gain of a rate (1/s) that keeps bounds from the largest multiple of a box, and that multiple."""
+    def farthest(self, within: InputConstraint, rate: float) -> tuple[Candidate, float] | None:
+        """Return the gain of a rate (1/s) with which limits do no harm from most of some starts, and the multiple."""
         shift = self._shift(rate, _HARDLY_FASTER)
         at = self._regulated(shift)
-        inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
-        box, best, most = _Box.of(at, starts, left), None, 0.0
-        for _ in range(WEIGHINGS):
-            solution = solve(box.program(inequality, largest=True), gap=_NEAR)
-            if solution is None or not _definite(solution.P) or not solution.t > most:
-                break
-            best, most = self._candidate(at, solution), solution.t
-            box = box.weighed(solution.P)
-        return None if best is None else (best, float(np.sqrt(most)))
+        found = self._limited(at, within, shift).farthest()
+        return None if found is None else (self._candidate(at, found[0]), found[1])
+
+    def _limited(self, at: Coordinates, within: InputConstraint, shift: Array) -> LimitedGain:
+        """Return the program in coordinates in which the starts have size 1; P and Y are in proportion."""
+        boxes = [at.inverse @ box for box in within.starts]
+        size = max(float(np.linalg.norm(box, 2)) for box in boxes)
+        return LimitedGain(
+            A=at.system(self.A),
+            B=at.input(self.task.B),
+            shift=shift,
+            starts=[box / size for box in boxes],
+            room=(1 - _SPARED) * within.left / at.e / size,
+            over=within.over,
+        )
 
     def largest_margins(self, rate: float) -> Iterator[Candidate]:
         """Yield gains of the largest margin, while it is positive each in better coordinates than the last one."""
@@ -176,7 +167,7 @@ class Candidates:
         if solution is not None:
             yield self._candidate(at, replace(solution, Y=-np.asarray(np.linalg.solve(R, B.T))))
 
-    def _candidate(self, at: Coordinates, solution: Solution, margin: float = np.nan) -> Candidate:
+    def _candidate(self, at: Coordinates, solution: Solution | LimitedFound, margin: float = np.nan) -> Candidate:
         """Return K = Y P⁻¹; not a number where P is not positive definite to working precision."""
         K = np.full((self.task.B.shape[1], self.A.shape[1]), np.nan)
         if _definite(solution.P):
@@ -199,43 +190,6 @@ def short(K: Array, digits: int = DIGITS) -> Array:
         [[-0.333333333, 0.0]]
     """
     return np.array([[float(f"{v:.{digits - 1}e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Box:
-    """Starts G ζ, |ζ_k| ≤ 1, with the weights of an ellipsoid around them, see `lmi.ellipsoid`; bounds of inputs."""
-
-    G: Array
-    weights: Array
-    limits: Sequence[tuple[Array, float]]
-
-    @classmethod
-    def of(cls, at: Coordinates, starts: Array, left: Array) -> "_Box":
-        """Return them in coordinates in which the box has size 1; P and Y are in proportion."""
-        G = at.inverse @ starts
-        size = float(np.linalg.norm(G, 2))
-        bounds = (1 - _SPARED) * left / at.e / size
-        rows = [(row, bound) for row, bound in zip(np.eye(len(left)), bounds.tolist(), strict=True) if bound < np.inf]
-        return cls(G=G / size, weights=np.full(G.shape[1], 1 / G.shape[1]), limits=rows)
-
-    @property
-    def around(self) -> Array:
-        """The ellipsoid: Σ ⪰ z zᵀ for every start z."""
-        return np.asarray(self.G / self.weights @ self.G.T)
-
-    def program(self, inequality: Inequality, *, largest: bool) -> SemidefiniteProgram:
-        """Maximise t with P ⪰ t Σ, the multiple of the ellipsoid, or minimise t, the worst cost, with P ⪰ Σ.
-
-        [ū², r Y; ·, P] ⪰ 0 keeps |r Y P⁻¹ z| ≤ ū from there, for inputs r with a bound ū. The inequality is one from
-        `state_feedback`, or from `bounded_cost`.
-        """
-        kept = (bound_of_gain(inequality, row[None], most=bound**2) for row, bound in self.limits)
-        around = of_P(inequality, -1.0, **{"T" if largest else "constant": self.around})
-        return SemidefiniteProgram(constraints=(inequality, around, *kept), price=-1.0 if largest else 1.0)
-
-    def weighed(self, P: Array) -> "_Box":
-        """Return the same with an ellipsoid that is more like that of P."""
-        return replace(self, weights=weighed(self.G, P))
 
 
 def _state_weights(A: Array, B: Array) -> Iterator[Array]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from numbers import Real
+from typing import Literal
 
 import numpy as np
 
@@ -37,6 +38,9 @@ class AtLeast:
     # on the norm of the gain in sizes, see `Task.norm`: where that gain is larger, the smallest one that is found is
     # taken
     bound: float = np.inf
+    # "limits" where no limit of an input is to be reached; "region" where errors are to go to 0 from as much of the
+    # starts as can be, with inputs at their limits
+    within: Literal["limits", "region"] | None = None
 
     def __post_init__(self) -> None:
         _positive(rate=self.rate or 1.0, gain=1.0 if self.bound == np.inf else self.bound)
@@ -57,6 +61,7 @@ class Fastest:
     """The largest rate that is found."""
 
     bound: float = np.inf  # on the norm of the gain in sizes, see `Task.norm`
+    within: Literal["limits"] | None = None  # "limits" where no limit of an input is to be reached
 
     def __post_init__(self) -> None:
         _positive(gain=1.0 if self.bound == np.inf else self.bound)

@@ -5,6 +5,7 @@ With P ⪰ z zᵀ for all these errors z, the inequality of the decay and [ū_j�
 1994, section 7.2.3).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,7 @@ from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
+from pwatrack.lmi.saturated import MOST_WORK, SaturatedLoop
 from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least
@@ -74,14 +76,14 @@ class Starts:
 
     Attributes:
         kind: "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the
-            run. "ensemble": those of its members. "members": the same with Δ = 0.
+            run. "ensemble": those of its members. "members": the same with Δ = 0. "every": all there are.
         e: Rows of G for e, (n, k).
         delta: Rows of G for Δ, (n, k), or None for Δ = 0.
         load: Rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their
             sign, (p, k). None where Δ = 0: then no load acts.
     """
 
-    kind: Literal["exact", "sizes", "run", "ensemble", "members"]
+    kind: Literal["exact", "sizes", "run", "ensemble", "members", "every"]
     e: Array
     delta: Array | None = None
     load: Array | None = None
@@ -102,15 +104,17 @@ class Starts:
 
 @dataclass(frozen=True, kw_only=True)
 class InputConstraint:
-    """Errors e = G ζ, |ζ_k| ≤ 1, from which |K e| is to stay within bounds.
+    """Errors e = G ζ, |ζ_k| ≤ 1, from which K e is not to reach limits, or these are to do no harm.
 
     Attributes:
-        starts: G (n, k), of rank n.
-        left: ū (m,), positive; infinite where an input has no limit.
+        starts: Boxes G (n, k); where no limit may be reached one, of rank n.
+        left: ū (m,); infinite where an input has no limit.
+        over: Of what is left, what K may ask of an input from there: at 1 no limit is reached.
     """
 
-    starts: Array
+    starts: Sequence[Array]
     left: Array
+    over: float = 1.0
 
     def share(self, task: Task, K: Array, proof: Certificate) -> float:
         """Return how many times as large these errors may be for a gain K (m, n), by an exact proof; 0 for none.
@@ -119,18 +123,23 @@ class InputConstraint:
 
             >>> task = Task(A=np.zeros((1, 1, 1)), B=np.eye(1), cells=["all"])
             >>> K = np.array([[-0.5]])
-            >>> within = InputConstraint(starts=np.array([[2.0]]), left=np.array([3.0]))
+            >>> within = InputConstraint(starts=[np.array([[2.0]])], left=np.array([3.0]))
             >>> 2.999 < within.share(task, K, task.reached(K, np.eye(1), 0.0)) <= 3
             True
         """
         if not K.any():
             return np.inf
-        limited = np.flatnonzero(np.isfinite(self.left))
-        rows = BallMatrix.of(K[limited], (len(limited), K.shape[1]))
+        limited = np.flatnonzero(np.isfinite(self.left)).tolist()
+        left, rows = self.left[limited], BallMatrix.of(K[limited], (len(limited), K.shape[1]))
         closed, inner = different(task.exactly_closed(K)), Inner.proved(proof.P, proof.rate)
-        found = held(closed, self.starts, rows, self.left[limited], inner)
-        sizes = np.zeros(0) if found is None else np.array(found.sizes)
-        return 0.0 if found is None else float(1 / (sizes / self.left[limited]).max())
+        B = task.balls[1].part(range(len(task.B)), limited)
+        loop = SaturatedLoop(M=closed, B=B, D=rows, inners=[inner])
+        if self.over > 1 and (loop.work > MOST_WORK or loop.everywhere() is not None):
+            return np.inf
+        found = [loop.around(G, left) if self.over > 1 else held(closed, G, rows, left, inner) for G in self.starts]
+        some = left > 0  # where nothing is left H is 0
+        shares = [0.0 if one is None else float(1 / (np.array(one.sizes)[some] / left[some]).max()) for one in found]
+        return min(shares)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +164,20 @@ class Headroom:
     @property
     def left(self) -> Array | None:
         """How far each input may be from its feedforward at any time, (m,); None where nothing is left or known."""
-        left = None if self.peak is None else self.peak.left(self.limits)
+        left = self.spare
         return None if left is None or not (left > 0).all() else left
+
+    @property
+    def spare(self) -> Array | None:
+        """The same with 0 where the feedforward takes a whole limit; None where it takes more, or that is not known."""
+        return None if self.peak is None or self.peak.beyond(self.limits) else self.peak.left(self.limits)
+
+    @property
+    def bearable(self) -> Array:
+        """Between what constant loads at each input may be, (m, 2), so that the feedforward less them is in limits."""
+        assert self.peak is not None
+        ends = np.column_stack([self.peak.high - self.limits[:, 1], self.peak.low - self.limits[:, 0]])
+        return np.clip(ends, [-np.inf, 0.0], [0.0, np.inf])
 
     def within(self, sizes: Array) -> InputConstraint | None:
         """Return what a gain is to keep: from the starts of an ensemble where there is one, else within sizes (n,).
@@ -168,4 +189,14 @@ class Headroom:
             return None
         members = [one.e for one in self.starts if one.kind == "members"]
         e = np.hstack([*members[:1], _LITTLE * np.diag(sizes)]) if members else np.diag(sizes)
-        return InputConstraint(starts=e[:, e.any(axis=0)], left=left)
+        return InputConstraint(starts=[e[:, e.any(axis=0)]], left=left)
+
+    def around(self, sizes: Array) -> InputConstraint | None:
+        """Return from where limits are to do no harm if x̂ = x: starts of an ensemble or else a run, and within sizes.
+
+        What is left on the smaller side is taken; sizes are (n,).
+        """
+        left, kinds = self.spare, [one.kind for one in self.starts]
+        chosen = "members" if "members" in kinds else "run"
+        boxes = [one.e[:, one.e.any(axis=0)] for one in self.starts if one.kind == chosen and one.e.any()]
+        return None if left is None else InputConstraint(starts=[*boxes, np.diag(sizes)], left=left, over=np.inf)

@@ -1,7 +1,7 @@
 """Theorem 2: controller gain K from (8), observer gain L from (9), each with its proof."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 
@@ -30,6 +30,8 @@ _RATES = 16  # at most so many rates are tried for the fastest one
 _SLOWER = 6  # so often it is divided by 4 where the bound is too small for it
 _ENDED = 2e-3  # relative distance of the rates that are known to be in and out of reach at which that search ends
 _LOOSER = 4  # times at most that bounds of inputs are loosened
+_OVER = (8.0, 4.0, 2.0, 1.0)  # times what is left of an input: what a gain with which limits do no harm may ask of it
+_NEARLY = 0.97  # of the largest region: a gain that has all of it may be enormous
 _WORTH_IT = 1.02  # what they are loosened by at least
 _SLOW = 1e-3  # of the speed of the plant: from here on a fastest rate is sought where no gain of least cost will do
 _DIGITS = 16  # of a gain that doubles hold
@@ -47,6 +49,7 @@ class Gains:
     L: Array  # observer gain (n, q): + L (ŷ − y)
     controller: Found  # P_c with sym((A_i + B K) P_c) ≺ 0 for all cells: (8); of a given gain it may be a polynomial
     observer: Found  # P_o with sym((A_i + L C)ᵀ P_o) ≺ 0 for all cells: (9); likewise
+    cheaper: Array | None = None  # the gain of least cost, where it did not do for limits, (m, n)
 
     @property
     def exact(self) -> tuple[BallMatrix, BallMatrix]:
@@ -72,6 +75,25 @@ def synthesize(
     K, P_c = gain(Task.of(plant, CONTROLLER, sizes=sizes), controller, within)
     L_transposed, P_o = gain(Task.of(plant, OBSERVER, sizes=sizes), observer)
     return Gains(K=readonly(K), L=readonly(L_transposed.T), controller=P_c, observer=P_o)
+
+
+def with_starts_inside(plant: PWASystem, gains: Gains, goal: Goal, sizes: Sizes, within: InputConstraint) -> Gains:
+    """Return gains with which limits do no harm from some starts: the same where they do, or where none is found.
+
+    Only a K that was sought for a rate, or for nothing, is replaced: other goals say themselves what it is.
+    """
+    if not isinstance(goal, AtLeast) or not isinstance(gains.controller, Certificate):
+        return gains
+    task, found = Task.of(plant, CONTROLLER, sizes=sizes), (gains.K, gains.controller)
+    search = Search(task)
+    better = search.gentler_within(within, found, goal.rate, goal.bound)
+    if better is None and goal.within == "region":
+        most = search.candidates.farthest(replace(within, over=_OVER[0]), goal.rate)
+        starts = [_NEARLY * most[1] * box for box in within.starts] if most else []
+        better = search.gentler_within(replace(within, starts=starts), found, goal.rate, goal.bound) if most else None
+    if better is None or better is found:
+        return gains
+    return replace(gains, K=readonly(better[0]), controller=better[1], cheaper=gains.K)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # entries may be 1e300: what overflows proves nothing
@@ -278,7 +300,8 @@ class Search:
         best, factor, good = None, 1.0, 1.0
         for _ in range(_LOOSER):
             left = within.left * factor
-            ways = (self.proved(c, rate) for c in self.candidates.least_worst_cost(within.starts, left, rate))
+            loosened = replace(within, left=left)
+            ways = (self.proved(c, rate) for c in self.candidates.least_worst_cost(loosened, rate))
             fitting = ((way, within.share(self.task, *way)) for way in ways if way and self.task.norm(way[0]) <= bound)
             kept, share = next((found for found in fitting if found[1] >= 1), (None, 0.0))
             if best is None and kept is None:
@@ -303,7 +326,7 @@ class Search:
         if best is None:
             return None
         B, n = self.task.B, self.task.A.shape[1]
-        around = within.starts @ within.starts.T * within.starts.shape[1]
+        around = within.starts[0] @ within.starts[0].T * within.starts[0].shape[1]
         act = np.sqrt(np.maximum(np.einsum("nm,nm->m", B, np.linalg.solve(around, B)), 0.0))
         fast = float(within.left[act > 0] @ act[act > 0] - np.trace(self.task.A, axis1=1, axis2=2).max()) / n
         slow = best[1].rate
@@ -312,9 +335,25 @@ class Search:
         best, _ = _fastest(best, slow, fast, lambda rate: self._kept(within, rate, bound))
         return self.proved(Candidate(K=best[0], P=best[1].P), 0.0)
 
+    def gentler_within(self, within: InputConstraint, found: Proved, rate: float, bound: float) -> Proved | None:
+        """Return the gain that was found if limits do no harm with it from starts, else a smaller one of least cost.
+
+        What such a gain may ask of its inputs is less and less, until it is smaller.
+        """
+        if within.share(self.task, *found) >= 1:
+            return found
+        most = min(bound, self.task.norm(found[0]))
+        for over in _OVER:
+            limited = replace(within, over=over)
+            for candidate in self.candidates.least_worst_cost(limited, rate):
+                way = self.proved(candidate, rate)
+                if way is not None and self.task.norm(way[0]) <= most and within.share(self.task, *way) >= 1:
+                    return way
+        return None
+
     def _kept(self, within: InputConstraint, rate: float, bound: float) -> Proved | None:
         """Return a gain that keeps bounds of the inputs at a rate, if one is found whose own P proves it."""
-        found = self.candidates.farthest(within.starts, within.left, rate)
+        found = self.candidates.farthest(within, rate)
         if found is None or not found[1] >= 1 or found[0].P is None or self.task.norm(found[0].K) > bound:
             return None
         certificate = self.task.reached(found[0].K, found[0].P, rate)

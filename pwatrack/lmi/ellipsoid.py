@@ -294,12 +294,21 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
         weights = weighed(G[:, acts], Q)
     if best is None:
         return None
+    proved = around_starts(M, G, forms, best[1], _enlarged(best[0], inner.Q))
+    return None if proved is None else StartEllipsoid(**proved)
+
+
+def around_starts(
+    M: Sequence[BallMatrix], G: Array, forms: BallMatrix, weights: Array, trials: Iterable[Array]
+) -> dict[str, Any] | None:
+    """Return what `enclosure` does around starts, with weights of the columns of G that are not 0 made short."""
+    acts = G.any(axis=0)
     all_weights = np.full(G.shape[1], _LEAST_WEIGHT / G.shape[1])
-    all_weights[acts] = best[1]
-    weights = np.floor(all_weights / all_weights.sum() * 1e7 - 1)
-    short, decimal = tuple((np.maximum(weights, 1.0) / 1e7).tolist()), BallMatrix.of(G, G.shape)
-    proved = enclosure(M, forms, _enlarged(best[0], inner.Q), around=(decimal, [1 / Fraction(repr(w)) for w in short]))
-    return None if proved is None else StartEllipsoid(weights=short, **proved)
+    all_weights[acts] = np.maximum(weights, _LEAST_WEIGHT * weights.max())
+    rounded = np.floor(all_weights / all_weights.sum() * 1e7 - 1)
+    short, decimal = tuple((np.maximum(rounded, 1.0) / 1e7).tolist()), BallMatrix.of(G, G.shape)
+    proved = enclosure(M, forms, trials, around=(decimal, [1 / Fraction(repr(w)) for w in short]))
+    return None if proved is None else {"weights": short, **proved}
 
 
 def _enlarged(Q: Array, far: Array) -> Iterator[Array]:

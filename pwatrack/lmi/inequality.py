@@ -87,19 +87,3 @@ def quadratic_cost(A: Array, B: Array, Q_root: Array, R: Array) -> Inequality:
     constant[:, :n, :n] = -B @ np.linalg.solve(R, B.T)
     constant[:, n:, n:] = -np.eye(n)
     return Inequality(L=L, R=N, M=np.zeros((cells, 2 * n, 0)), N=N, constant=constant)
-
-
-def bounded_cost(A: Array, B: Array, Q_root: Array, R_root: Array) -> Inequality:
-    """Return (8) with a bound of a cost, [sym(A_i P + B Y), P Q^½, Yᵀ R^½; ·, −t I, 0; ·, ·, −t I] ⪯ 0.
-
-    With K = Y P⁻¹ it bounds ∫(xᵀQx + uᵀRu) dt by t x(0)ᵀ P⁻¹ x(0), whatever the switching (Kothare, Balakrishnan and
-    Morari, Robust constrained model predictive control using linear matrix inequalities, Automatica, 1996).
-    """
-    (cells, n), m = A.shape[:2], B.shape[1]
-    L, N, M = np.zeros((cells, 2 * n + m, n)), np.zeros((cells, n, 2 * n + m)), np.zeros((cells, 2 * n + m, m))
-    L[:, :n], L[:, n : 2 * n] = A, Q_root
-    M[:, :n], M[:, 2 * n :] = B, R_root
-    N[:, :, :n] = np.eye(n)
-    zero = np.zeros((cells, 2 * n + m, 2 * n + m))
-    T = np.broadcast_to(np.diag(-(np.arange(2 * n + m) >= n).astype(float)), zero.shape)
-    return Inequality(L=L, R=N, M=M, N=N, constant=zero, T=T)

@@ -35,6 +35,7 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array, IntArray, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.cone_program import symmetric_of, upper
 from pwatrack.lmi.exact import BITS, Certificate, Packed, Proof, Whole, left_side, prove_exactly, proved_rate, whole
 from pwatrack.lmi.presolve import Coordinates
 from pwatrack.lmi.role import Role
@@ -135,20 +136,6 @@ class Monomials:
         return sparse.csc_matrix((entries, rows, ends), shape=(len(self) * (len(self) + 1) // 2, len(columns)))
 
 
-def upper(X: Array) -> Array:
-    """Return upper triangles of symmetric matrices (l, N, N), column by column, what is off the diagonal times √2."""
-    column, row = np.tril_indices(X.shape[-1])
-    return np.asarray(X[..., row, column] * np.where(row == column, 1.0, np.sqrt(2.0)))
-
-
-def symmetric_of(x: Array, N: int) -> Array:
-    """Return the symmetric matrices (l, N, N) with these upper triangles (l, N (N + 1) / 2)."""
-    column, row = np.tril_indices(N)
-    X = np.zeros((*x.shape[:-1], N, N))
-    X[..., row, column] = X[..., column, row] = x / np.where(row == column, 1.0, np.sqrt(2.0))
-    return X
-
-
 @dataclass(frozen=True, kw_only=True)
 class PolynomialLyapunov:
     """P and N_i in floating point, for the monomials in weights of z = T e."""
@@ -225,7 +212,7 @@ class _Sought:
         h[1] = self.one
         cost = np.zeros(G.shape[2])
         cost[0] = -1.0
-        x = semidefinite(cost, G, h, self.order)
+        x = semidefinite(cost, list(zip(G, h, strict=True)))
         if x is None:
             return None
         P = symmetric_of(x[1 : 1 + self.size], self.order)

@@ -1,7 +1,7 @@
 """Who is asked for a solution. What comes back proves nothing before it is looked at."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
@@ -66,13 +66,13 @@ def solve(
     return _by(other, picos_model.solve(program, other))
 
 
-def semidefinite(cost: Array, rows: Array, sides: Array, order: int) -> Array | None:
+def semidefinite(cost: Array, blocks: Sequence[cone_program.Block]) -> Array | None:
     """Return the answer to a program that is no inequality in P and Y: see `cone_program`, which has the arguments.
 
     `primal_dual` does not know such programs: Clarabel is asked in its place.
     """
     solver: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
-    return _by(solver, cone_program.semidefinite(cost, rows, sides, order, solver))
+    return _by(solver, cone_program.semidefinite(cost, blocks, solver))
 
 
 def _by(solver: Solver, found: Found | None) -> Found | None:

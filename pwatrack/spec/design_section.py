@@ -52,12 +52,17 @@ class GoalSection(Section):
 
     def rules(self, context: Context) -> Iterator[Fault]:
         """Yield what has no meaning beside the rest, and weights that are none."""
-        given = [name for name in ("K", "L", "cost", "rate", "gain") if getattr(self, name, None) is not None]
+        names = ("K", "L", "cost", "rate", "gain", "within")
+        given = [name for name in names if getattr(self, name, None) is not None]
         if len(given) > 1 and given[0] in ("K", "L", "cost"):
             yield Fault(f": '{given[0]}' settles the gain, '{given[1]}' beside it has no meaning", key=(given[1],))
         if self.gain == "smallest" and self.rate in (None, "largest"):
             text = ": 'gain: smallest' is the smallest gain of a given rate in 1/s, and none is given"
             yield Fault(text, hint="for example rate: 0.1", key=("gain",))
+        if self.gain == "smallest" and "within" in given:
+            yield Fault(": 'gain: smallest' settles the gain, 'within' beside it has no meaning", key=("within",))
+        elif getattr(self, "within", None) == "region" and (self.rate == "largest" or (self.gain and not self.rate)):
+            yield Fault(": 'region' goes with a given rate, or with none", hint="or within: limits", key=("within",))
         if self.cost is not None and context.states and context.inputs and context.outputs:
             yield from _no_weight("Q", np.array(self.cost.Q))
             yield from _no_weight("R", np.array(self.cost.R))
@@ -77,6 +82,8 @@ class ControllerSection(GoalSection):
 
     cost: Annotated[CostSection, weighs("states", "inputs")] | None = None
     K: Annotated[Rows, shaped("inputs", "states")] | None = None
+    within: Literal["limits", "region"] | None = None
+    """That no limit is reached from errors within sizes or where members start, or does no harm from most of these."""
 
 
 class ObserverSection(GoalSection):

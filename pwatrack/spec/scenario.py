@@ -329,11 +329,12 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
     if section.cost is not None:
         return LeastCost(Q=readonly(section.cost.Q), R=readonly(section.cost.R))
     bound = np.inf if gain is None or gain == "smallest" else gain
+    within = getattr(section, "within", None)
     if rate == "largest" or (rate is None and gain is not None):
-        return Fastest(bound=bound)
+        return Fastest(bound=bound, within=within)
     if gain == "smallest":
         return Smallest(rate=rate or 0.0)
-    return AtLeast(rate=rate or 0.0, bound=bound)
+    return AtLeast(rate=rate or 0.0, bound=bound, within=within)
 
 
 def _box(uncertain: Mapping[str, Real | tuple[Real, Real]], parametric: ParametricPlant) -> Box:

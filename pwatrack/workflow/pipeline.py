@@ -10,12 +10,12 @@ from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import proved
 from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.headroom import Headroom
+from pwatrack.control.headroom import Headroom, InputConstraint
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.synthesis import synthesize
+from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
 from pwatrack.simulation.acting import Acting, acting
@@ -60,7 +60,7 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
     """Design with cells merged where exact tracking is refused, or raise that refusal."""
     if not may_merge(spec, refusal):
         raise refusal
-    found = practical_design(spec, refusal, lambda merged: _with_gains(merged, growing)[0])
+    found = practical_design(spec, refusal, lambda merged: _with_gains(merged, growing, exact=False)[0])
     remark = f"; practical tracking is asked for, and not found: {found}"
     if isinstance(found, ProvedController):
         practical = found.claim(Practical)
@@ -98,8 +98,11 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
     return None
 
 
-def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom | None]:
-    """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave."""
+def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[ProvedController, Headroom | None]:
+    """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave.
+
+    Where tracking is not exact nothing is proved of inputs at their limits, and K is not made for them.
+    """
     with spec.located():
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
@@ -111,8 +114,11 @@ def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom |
             controller=goals.controller,
             observer=goals.observer,
             sizes=sizes,
-            within=None if room is None else room.within(sizes.state),
+            within=_within(spec, room, sizes.state),
         )
+        declared = None if room is None else room.around(sizes.state)
+        if declared is not None and exact and trajectory.preview is None:
+            gains = with_starts_inside(plant, gains, goals.controller, sizes, declared)
         check_breaks(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes)
         return ProvedController(  # (18), (19)
@@ -124,6 +130,18 @@ def _with_gains(spec: Spec, growing: bool) -> tuple[ProvedController, Headroom |
             proofs=proofs,
             sizes=sizes,
         ), room
+
+
+def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint | None:
+    """Return what limits ask of K, where it is to be such that none is reached."""
+    within = getattr(spec.objectives.controller, "within", None)
+    if within is None:
+        return None
+    if room is None:
+        message = f"'within: {within}' is asked of K, and no input has a limit"
+        hint = "say what inputs can do under simulation: actuator: {limits: {…: […, …]}}"
+        raise InvalidSpec(message, subject=("design", "controller", "within"), hint=hint)
+    return room.within(sizes) if within == "limits" else None
 
 
 def _room(spec: Spec, controller: ProvedController) -> Headroom | None:

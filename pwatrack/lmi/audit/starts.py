@@ -5,7 +5,7 @@ from typing import Any
 
 from .balls import Ball, falls
 from .bounds import SIGNALS, Loop
-from .matrices import AuditFault, added, definite, product, transposed
+from .matrices import AuditFault, Matrix, added, definite, product, transposed
 from .reading import distinct, matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
 
@@ -21,25 +21,44 @@ def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
 
 def near(loop: Loop, entry: Any) -> list[str]:
     """Return what is wrong with the bounds of inputs from one box of starts, z(0) = G v, |v_k| <= 1."""
-    name, (Q, powers), G = entry["loop"], packed(entry["Q"]), matrix(entry["starts"])
+    name, (Q, powers) = entry["loop"], packed(entry["Q"])
+    wanted = kind_of(loop, name)
+    faults = around(entry, Q)
+    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, None)]
+    rows = [loop.row(name, kind, k) for kind, k, _ in entry["signals"] if kind == wanted]
+    faults += bounded(entry, wanted, rows, Q)
+    return faults if entry["signals"] else [*faults, "it bounds nothing"]
+
+
+def kind_of(loop: Loop, name: str) -> str:
+    """Return what limits of inputs are said of: with loads that are constants at inputs of what drives the plant."""
     wanted = "drive" if name == "joint" and loop.plant.loads is not None else "input"
     square = len(loop.plant.tracked[0]) == len(loop.plant.B[0][0])
     if wanted == "drive" and loop.X is not None and (not square or any(map(any, (*loop.X[0], *loop.X[1])))):
         raise AuditFault("loads do not only act at inputs, one for each tracked output")
-    weights = [number(w) for w in entry["weights"]]
-    if min(weights) <= 0 or sum(weights) > 1 or any(len(row) != len(weights) for row in G) or len(G) != len(Q):
+    return wanted
+
+
+def around(entry: Any, Q: Matrix) -> list[str]:
+    """Return what is wrong with an ellipsoid that is to be around a box of starts."""
+    G, weights = matrix(entry["starts"]), [number(w) for w in entry["weights"]]
+    fits = weights and min(weights) > 0 and sum(weights) <= 1 and len(G) == len(Q)
+    if not fits or any(len(row) != len(weights) for row in G):
         raise AuditFault("the weights of the starts are not positive, or more than 1 together")
     widened = [[v / w for v, w in zip(row, weights, strict=True)] for row in G]
-    around = product(widened, transposed(G))
-    faults = [] if definite(Q) and definite(added(Q, around, -1)) else ["a start is not in the ellipsoid"]
-    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, None)]
+    inside = definite(Q) and definite(added(Q, product(widened, transposed(G)), -1))
+    return [] if inside else ["a start is not in the ellipsoid"]
+
+
+def bounded(entry: Any, wanted: str, rows: list[Ball], Q: Matrix) -> list[str]:
+    """Return which sizes of rows are too small in an ellipsoid."""
+    faults = list[str]()
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
-    for kind, k, size in entry["signals"]:
-        if kind != wanted:
-            raise AuditFault(f"limits of inputs are said of '{wanted}' here")
-        c = loop.row(name, kind, k)
+    if any(kind != wanted for kind, *_ in entry["signals"]):
+        raise AuditFault(f"limits of inputs are said of '{wanted}' here")
+    for (kind, k, size), c in zip(entry["signals"], rows, strict=True):
         value, radius = c @ Ball(Q) @ c.T
         largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)
         if number(size) < 0 or largest > number(size) ** 2:
             faults.append(f"{kind} {k} is not bounded by {size}")
-    return faults if entry["signals"] else [*faults, "it bounds nothing"]
+    return faults

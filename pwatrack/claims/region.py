@@ -1,0 +1,205 @@
+"""From which starts errors go to 0 although limits of the inputs are reached: what is proved, stored and said of it.
+
+In the loop of e, or of (e, Δ), u − u_ff is a row of it that limits cut off: see `lmi.saturated`. The observer is given
+the input as it is limited, so Δ is untouched. From every start it is enough that e goes to 0 with Δ = 0 in this way,
+with H = 0: by (9) Δ goes to 0 exponentially, and e is driven by it linearly.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.claims.exact_text import decimal_texts, doubles
+from pwatrack.claims.limits import (
+    StartGuarantee,
+    drive_rows,
+    loads_at,
+    loops_of,
+    nearby,
+    read_ellipsoid,
+    taken_off,
+)
+from pwatrack.control.bounds import Loop, Loops
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.headroom import Headroom, Starts
+from pwatrack.control.words import Words, down, matrix_text
+from pwatrack.lmi.saturated import MOST_WORK, Region, SaturatedLoop
+
+_TRIES = 3  # of how the room of several inputs is shared with their loads
+_NOT_FOUND = "no ellipsoid was found that proves it"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitedRegion(Claim):
+    """Starts from which errors go to 0 with limits active.
+
+    Attributes:
+        room: What the feedforward leaves.
+        found: What is proved of some starts, each by a `Region`.
+        missing: Why it is of none; "" where it is of some.
+    """
+
+    room: Headroom
+    found: tuple[StartGuarantee, ...] = ()
+    missing: str = ""
+
+    statement: ClassVar[str] = (
+        "Under regions: likewise, D the rows by which u - u_ff is read off z = x - x_d or (x - x_d, x_hat - x, s_hat - "
+        "s), B its way into z, M the matrices of z: Q > 0 and sym((M + B_S (H_S - D_S)) Q) < 0 for all M and all sets "
+        "S of the inputs with limits; z^T Q^-1 z <= 1 at the starts, |H z| <= the sizes there. So z goes to 0 from "
+        "starts scaled by c with u cut off anywhere beyond c times these sizes and loads; with H = 0 and no starts, "
+        "from all."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"regions": []}
+
+    @classmethod
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
+        """Yield the starts for which it is proved, or why there are none, where inputs have limits."""
+        room = asked.room
+        if room is not None:
+            missing = _beyond(controller, room)
+            found = () if missing else regions(controller, room)
+            yield cls(room=room, found=found, missing=missing or _NOT_FOUND * (not found))
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
+        """Yield the same from what was proved before."""
+        room, entries = asked.room, {entry["of"]: entry for entry in content["regions"]}
+        if room is None:
+            return
+        missing, found = _beyond(controller, room), list[StartGuarantee]()
+        starts = () if missing else (_every(controller), *(nearby(one, entries) for one in room.starts))
+        for one in starts:
+            if (entry := entries.get(one.kind)) is not None:
+                held = Region(H=np.asarray(doubles(entry["H"])), **read_ellipsoid(entry))
+                found.append(_of(loops_of(controller), one, room, held))
+        yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
+
+    def data(self, controller: ProvedController) -> dict[str, Any]:
+        """Return ellipsoids and rows H, and the gain of least cost where another one took its place."""
+        entries = [one.data | {"H": decimal_texts(one.held.H)} for one in self.found if isinstance(one.held, Region)]
+        cheaper = controller.design.cheaper
+        return {"regions": entries} | ({} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)})
+
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
+        """Return by which scale starts may be off."""
+        left, names = self.room.spare, words.plant.inputs
+        said = [] if left is None else [one.figures(left, names) for one in self.found]
+        smaller = None if controller.design.cheaper is None else _smaller(controller, controller.design.cheaper)
+        return {"limits_active": {"starts": said, "missing": self.missing, "K_smaller_by": smaller}}
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield from which starts errors go to 0."""
+        left, label = self.room.spare, "limits active"
+        if left is None or not self.found:
+            yield label, f"not proved: {self.missing}"
+            return
+        goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
+        for one in self.found:
+            if one.starts.kind == "every":
+                starts = f"every start{self._with_loads(words, controller, one)}"
+            else:
+                starts = one.said(left, loads=controller.plant.loads is not None)
+            yield label, f"in the loop as designed {goes} from {starts}, with inputs at their limits too"
+            label = ""
+        cheaper = controller.design.cheaper
+        if cheaper is not None:
+            much = f"{_smaller(controller, cheaper):.2g} times smaller"
+            yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
+
+    def _with_loads(self, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
+        """Say with which loads."""
+        if controller.plant.loads is None:
+            return ""
+        if one.starts.delta is None:
+            return " with x̂ = x, while no load acts"
+        at = {k for k in controller.plant.loads.inputs(controller.plant.exact.B) or () if k in one.inputs}
+        named = []
+        for k in sorted(at):
+            name, (low, high) = words.plant.inputs[k], np.abs(self.room.bearable[k]).tolist()
+            ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
+            named.append(f"{name} from {ends}")
+        return f" and all constant loads at {' and at '.join(named)}" if named else ""
+
+
+def _smaller(controller: ProvedController, cheaper: Array) -> float:
+    """Return how many times as large as K the gain of least cost is, in sizes."""
+    norms = (float(np.linalg.norm(controller.sizes.gain(K), 2)) for K in (cheaper, controller.K))
+    return next(norms) / next(norms)
+
+
+def _beyond(controller: ProvedController, room: Headroom) -> str:
+    """Return why nothing is tried; "" where it is."""
+    if room.peak is None:
+        return "x_d takes too long to follow, so what its feedforward takes is not known"
+    if room.spare is None:
+        return "the feedforward takes more than the limits, from where the generator starts"
+    if controller.running is not controller.plant:
+        return "cells are merged, and what is merged acts too"
+    if controller.trajectory.preview is not None:
+        return "x_d is played back, and what that leaves acts too"
+    return ""
+
+
+def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarantee, ...]:
+    """Prove from which starts errors go to 0 with limits active: from every one, or from multiples of those given."""
+    loops, inputs = loops_of(controller), _inputs(room)
+    loop = _saturated(loops, "controller", inputs)
+    held = loop.everywhere() if loop.work <= MOST_WORK else None
+    if held is not None:
+        return (_of(loops, _every(controller), room, held),)
+    found, acts = list[StartGuarantee](), taken_off(controller.compensation, loops.at_inputs)
+    for one in room.starts:
+        name: Loop = "controller" if one.delta is None else "joint"
+        known = one.delta is None or loops.n == loops.N or (one.load is not None and acts)
+        if name not in loops.M or not known:
+            continue
+        loop = _saturated(loops, name, inputs)
+        tried = _largest(loops, loop, one, room) if loop.work <= MOST_WORK else None
+        found += [tried] if tried is not None else []
+    return tuple(found)
+
+
+def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) -> StartGuarantee | None:
+    """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion."""
+    left, inputs = room.spare, list(_inputs(room))
+    assert left is not None
+    loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
+    for _ in range(_TRIES if loads.any() else 1):
+        held = loop.around(starts.G, np.maximum(left[inputs] - share * loads, 0.0))
+        if held is None:
+            break
+        found = _of(loops, starts, room, held)
+        share = found.scale(left)
+        best = found if best is None or share > best.scale(left) else best
+    return best
+
+
+def _of(loops: Loops, starts: Starts, room: Headroom, held: Region) -> StartGuarantee:
+    loop: Loop = "joint" if starts.delta is not None and starts.kind != "every" else "controller"
+    inputs = _inputs(room)
+    loads = (0.0,) * len(inputs) if starts.kind == "every" else loads_at(loops, starts, inputs)
+    return StartGuarantee(starts=starts, loop=loop, inputs=inputs, held=held, loads=loads)
+
+
+def _every(controller: ProvedController) -> Starts:
+    """Return all starts, of Δ too where estimates of loads do not move x_d."""
+    n, N = len(controller.plant.B), len(controller.L)
+    free = n == N or taken_off(controller.compensation, loops_of(controller).at_inputs)
+    return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if free else None)
+
+
+def _inputs(room: Headroom) -> tuple[int, ...]:
+    return tuple(int(k) for k in np.flatnonzero(np.isfinite(room.limits).any(axis=1)))
+
+
+def _saturated(loops: Loops, loop: Loop, inputs: tuple[int, ...]) -> SaturatedLoop:
+    """Return a loop with the inputs that have limits."""
+    B = loops.B.part(range(loops.n), inputs)
+    if loop == "joint":
+        B = above(B, BallMatrix.of(np.zeros((loops.N, len(inputs)))))
+    return SaturatedLoop(M=loops.M[loop], B=B, D=drive_rows(loops, loop, inputs), inners=loops.inners[loop])

@@ -1,0 +1,202 @@
+"""Inputs that are cut off at limits: from which starts z goes to 0 all the same, proved exactly.
+
+Let z' = M(t) z + B (v − D z) with M(t) in the convex hull of the M_p, and v_j what limits make of D_j z: it is D_j z
+where |D_j z| ≤ ū_j, and else between D_j z and 0 and no smaller than ū_j in size. For rows H with |H_j z| ≤ ū_j each
+v_j is a mean of D_j z and H_j z, so v is one of the 2^m vectors with rows of either (Hu and Lin, Control Systems with
+Actuator Saturation, 2001). With Q ≻ 0 and
+
+    sym((M_p + B_S (H_S − D_S)) Q) ≺ 0   for every p and every set S of inputs,      H_j Q H_jᵀ ≤ ū_j²
+
+V = zᵀ Q⁻¹ z falls from every start with V ≤ 1, with limits active (proved in `docs/theory/beyond.md`). With H = 0 it
+falls from every start, whatever ū is. Linear in Q and Z = H Q; for D = K also in Y = K Q, where K is sought too.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.ellipsoid import Inner, StartEllipsoid, around_starts, enclosure
+from pwatrack.lmi.inequality import lyapunov
+from pwatrack.lmi.matrix_program import Unknowns, minimised
+from pwatrack.lmi.program import largest_margin
+from pwatrack.lmi.solve import solve
+
+MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
+_DECAYS = (1e-3, 1e-5)  # of the speed of the loop: what V falls with at least, so that there is a margin
+_LEAST, _LARGEST = 1e-4, 1e6  # Q, where starts have size 1
+_DIGITS = 9  # of H
+_ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region(StartEllipsoid):
+    """Q with what is proved above, around G diag(1 / w) Gᵀ; no weights where it is from every start.
+
+    Attributes:
+        H: (m, N), decimals. Its sizes are those of H_j z; all are 0 where H = 0.
+    """
+
+    H: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaturatedLoop:
+    """z' = M z + B (v − D z).
+
+    Attributes:
+        M: The matrices M_p, (N, N).
+        B, D: Of the inputs that have limits, (N, m) and (m, N).
+        inners: Q of the loop without limits: they say which coordinates are good ones.
+    """
+
+    M: Sequence[BallMatrix]
+    B: BallMatrix
+    D: BallMatrix
+    inners: Sequence[Inner]
+
+    @property
+    def work(self) -> int:
+        """What a Newton step costs."""
+        N, m = self.B.shape
+        return int(len(self.M) * 2**m * N**4)
+
+    def vertices(self, H: BallMatrix) -> list[BallMatrix]:
+        """Return M_p + B_S (H_S − D_S) for all p and S."""
+        (N, m), rest = self.B.shape, H - self.D
+        found = []
+        for chosen in product((False, True), repeat=m):
+            S = [j for j in range(m) if chosen[j]]
+            change = self.B.part(range(N), S) @ rest.part(S, range(N)) if S else None
+            found += [M_p if change is None else M_p + change for M_p in self.M]
+        return found
+
+    def everywhere(self) -> Region | None:
+        """Return a Q with H = 0, if one is proved: then z goes to 0 from every start, whatever the limits.
+
+        Example: of z' = −z + v with v = −z or less in size, and of z' = z + v with v = −2 z, which 0 does not hold.
+
+            >>> one, two = BallMatrix.of([[1]]), BallMatrix.of([[-2]])
+            >>> loops = (BallMatrix.of([[-2]]), one, BallMatrix.of([[-1]])), (BallMatrix.of([[-1]]), one, two)
+            >>> inner = [Inner(Q=np.eye(1), most=1.0)]
+            >>> loops = (SaturatedLoop(M=[M], B=B, D=D, inners=inner) for M, B, D in loops)
+            >>> [loop.everywhere() is not None for loop in loops]
+            [True, False]
+        """
+        m, N = self.D.shape
+        nothing = BallMatrix.of(np.zeros((m, N)))
+        vertices = self.vertices(nothing)
+        M = np.array([X.floats for X in vertices])
+        near = self.inners[-1].near(M) if self.inners else None
+        if near is None or not np.linalg.eigvals(M).real.max() < 0:
+            return None
+        V, inside = near
+        found = solve(largest_margin(lyapunov(inside / max(float(np.abs(inside).max()), 1e-300))))
+        if found is None or not found.t > 0:
+            return None
+        proved = enclosure(vertices, nothing, [V @ found.P @ V.T])
+        return None if proved is None else Region(weights=(), H=np.zeros((m, N)), **proved)
+
+    def around(self, G: Array, room: Array) -> Region | None:
+        """Return the region of the largest multiple of starts G ζ, |ζ_k| ≤ 1, if one is proved; its sizes say of which.
+
+        Args:
+            G: (N, k), which counts as the decimals that it prints as.
+            room: ū in proportion, (m,); H_j = 0 where it is 0.
+
+        Example: z' = z + v, v = −3 z cut off at ±1, goes to 0 from |z| < 1.
+
+            >>> M, B, D = (BallMatrix.of([[v]]) for v in (-2, 1, -3))
+            >>> loop = SaturatedLoop(M=[M], B=B, D=D, inners=[Inner(Q=np.eye(1), most=3.9)])
+            >>> found = loop.around(np.array([[0.5]]), np.ones(1))
+            >>> bool(1.98 < 1 / found.sizes[0] < 2)
+            True
+        """
+        acts = np.flatnonzero(G.any(axis=0))
+        asked = self.inners and len(acts) and room.any()
+        near = self.inners[-1].near(np.array([X.floats for X in self.M])) if asked else None
+        if near is None:
+            return None
+        for decay in _DECAYS:
+            found = self._asked(near, G[:, acts], room, decay)
+            if found is None:
+                continue
+            Q, H, weights = found
+            exactly = BallMatrix.of(H, H.shape)
+            trials = (Q * (1 + more) for more in _ROOM)
+            proved = around_starts(self.vertices(exactly), G, exactly, weights, trials)
+            if proved is not None:
+                return Region(H=H, **proved)
+        return None
+
+    def _asked(
+        self, near: tuple[Array, Array], G: Array, room: Array, decay: float
+    ) -> tuple[Array, Array, Array] | None:
+        """Return Q, H and the weights of the starts, in floating point."""
+        V, inside = near
+        B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
+        units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
+        seen = _Scaled.of(inside, B * units, D / units[:, None], decay)
+        G = solve_triangular(V, G, lower=True)
+        size = float(np.linalg.norm(G, 2))
+        found = seen.largest(G / size, room / units / float((room / units).max()))
+        if found is None:
+            return None
+        Q, Z, weights = found
+        H = np.linalg.solve(V.T, np.linalg.solve(Q, Z.T)).T * units[:, None]
+        return size**2 * V @ Q @ V.T, _short(H), weights
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scaled:
+    """The same in floating point, in coordinates in which ū_j and the loop are of size 1."""
+
+    M: Array
+    B: Array
+    D: Array
+    decay: float
+
+    @classmethod
+    def of(cls, M: Array, B: Array, D: Array, decay: float) -> "_Scaled":
+        speed = max(float(np.abs(M).max()), 1e-300)
+        return cls(M=M / speed, B=B / speed, D=D, decay=decay)
+
+    def falls(self, x: Unknowns) -> Iterator[Array]:
+        """Yield −sym((M_p + B_S (H_S − D_S)) Q) − decay Q for all p and S; what is at place 0 of Z is H_j Q."""
+        Q, rest = x["Q"], x["Z"] - self.D @ x["Q"]
+        for chosen in product((0.0, 1.0), repeat=len(self.D)):
+            added = self.B @ (np.array(chosen)[:, None] * rest)
+            for M_p in self.M:
+                yield -symmetric_part(M_p @ Q + added) - self.decay * Q
+
+    def largest(self, G: Array, room: Array) -> tuple[Array, Array, Array] | None:
+        """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²."""
+        (N, k), m = G.shape, len(self.D)
+        mask = (room > 0).astype(float)
+
+        def blocks(x: Unknowns) -> Iterator[Array]:
+            x = {**x, "Z": x["Z"] * mask[:, None]}
+            Q, w, eye = x["Q"], x["w"], np.eye(N)
+            yield from self.falls(x)
+            one = x["1"][:, None, None]
+            yield _LARGEST * one * eye - Q
+            yield Q - _LEAST * one * eye
+            yield np.block([[Q, one * G], [one * G.T, w[:, :, None] * np.eye(k)]])
+            yield one - w.sum(axis=1)[:, None, None]
+            for j in np.flatnonzero(room > 0).tolist():
+                Z_j = x["Z"][:, j : j + 1] / room[j]
+                yield np.block([[x["t"][:, None, None], Z_j], [Z_j.transpose(0, 2, 1), Q]])
+
+        found = minimised("t", {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
+        if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
+            return None
+        return found["Q"], found["Z"] * mask[:, None], found["w"]
+
+
+def _short(H: Array) -> Array:
+    """Return short decimals."""
+    return np.array([[float(f"{v:.{_DIGITS - 1}e}") + 0.0 for v in row] for row in H]).reshape(H.shape)
