@@ -24,10 +24,12 @@ from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
 from pwatrack.workflow.cautions import assessed
 from pwatrack.workflow.pipeline import design
+from pwatrack.workflow.plant_cautions import plant_warnings
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
 from tests.test_cli import call
 from tests.test_outcome import ROD, RUNAWAY, cart
+from tests.test_screen import stage
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
 Row = tuple[bool, str, str]  # whether verify says it, label, sentence
@@ -94,6 +96,9 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
     monkeypatch.setattr(terminal, "Table", Recorded)
     console = Console(file=io.StringIO(), width=200)
+    for values in ({"sign": "1"}, {"d": "0"}):
+        odd = load_spec(stage(tmp_path), values).problem.plant
+        rows += [(False, "warning", text) for text in plant_warnings(odd)]
     for path in plants(specs, tmp_path):
         spec = load_spec(path)
         sizes, tracking = spec_sizes(spec), spec.problem.tracking
@@ -115,7 +120,10 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         rows += [(False, label, text) for label, text in said]
         rows += [(False, "uncertain", said) for said in run_rows(replace(result, w=None))]  # as if that took too long
         if path.stem in ("state", "cart"):
-            summary.print_ensemble(console, ensemble(result, 3))
+            many = ensemble(result, 3)
+            summary.print_ensemble(console, many)
+            said = first_rows(spec, controller, assessment, result=result, many=many)
+            rows += [(False, label, text) for label, text in said]
         for sentence in verify(write_result(result, tmp_path / "run", plots="none"), path):
             label, _, rest = sentence.partition(": ")
             own = label.startswith(("(", "plant", "Theorem"))
