@@ -5,7 +5,9 @@
 The sample time is a 25th of the period of the fastest mode of A_i + B K, to one digit. Each plant runs under the
 conditions of its spec, without noise and steps: with the program that predicts and corrects, and with the observer of
 the theorems stepped under a held y. Printed is the largest error of the last tenth of both runs, the rate that is
-proved in continuous time and of the sampled loop, and how long that proof took. Last are medians.
+proved in continuous time and of the sampled loop, and how long that proof took; then of the bounds of what is tracked,
+per 1 of each disturbance and noise, how many times those in continuous time these are, and what random switchings
+reach of them with what acts at its worst. Last are medians.
 """
 
 import sys
@@ -17,16 +19,22 @@ import numpy as np
 from rich.console import Console
 
 from pwatrack import Spec, load_spec
+from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.sampled import SampledLoop
-from pwatrack.control.controller import ProvedController
+from pwatrack.claims.sampled_bounds import SampledBounds, seen
+from pwatrack.control.bounds import Channel
+from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.sampled_disturbances import row
 from pwatrack.errors import PwatrackError
 from pwatrack.model.conditions import Method, Sampling
 from pwatrack.workflow.pipeline import asked_of, design, simulate
 from pwatrack.workflow.result import SimulatedLoop
+from tests.sampled import worst_found
 
 SPECS = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]
 _SAMPLES = 25  # in a period of the fastest mode
 _MOST = 20_000  # samples of a run
+_SWITCHINGS = 20  # that are tried against each bound
 
 
 def sample_time(controller: ProvedController) -> float:
@@ -61,9 +69,30 @@ def errors(spec: Spec, controller: ProvedController, h: float) -> list[float]:
     return found
 
 
+def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[float], list[float]]:
+    """Return how many times those in continuous time bounds of the sampled loop are, and what is reached of them."""
+    times, reached = list[float](), list[float]()
+    for claim in SampledBounds.prove(controller, replace(asked, acting=_all_of_size_one)):
+        known = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
+        for channel, tube in claim.tubes.items():
+            for form, size in zip(seen(controller), tube.sizes, strict=True):
+                if form[0] == controller.tracking and known[channel].get(form):
+                    times.append(size / known[channel][form])
+                    c = row(claim.errors, form).floats
+                    reached += [worst_found(claim, channel, c, seed) / size for seed in range(_SWITCHINGS)]
+    return times, reached
+
+
+def _all_of_size_one(controller: ProvedController, _: object) -> dict[Channel, float]:
+    plant = controller.plant
+    found: dict[Channel, float] = {("disturbance", k): 1.0 for k in range(len(plant.B))}
+    return found | {("noise", k): 1.0 for k in range(len(plant.C))}
+
+
 def main(paths: list[Path]) -> None:
     """Print a line for each plant."""
     console, shares, rates, seconds = Console(width=140), list[float](), list[float](), list[float]()
+    found, worst = list[float](), list[float]()
     for path in paths:
         try:
             spec = load_spec(path)
@@ -78,6 +107,8 @@ def main(paths: list[Path]) -> None:
         (claim,) = SampledLoop.prove(controller, asked)
         seconds.append(time.perf_counter() - start)
         controller = replace(controller, claims=(*controller.claims, claim))
+        start, (times, reached) = time.perf_counter(), beside_continuous(controller, asked)
+        tubes, found, worst = time.perf_counter() - start, [*found, *reached], [*worst, *times]
         corrected, emulated = errors(spec, controller, h)
         shares.append(emulated / corrected)
         said = claim.missing
@@ -87,12 +118,18 @@ def main(paths: list[Path]) -> None:
         console.print(
             f"{path.stem:28} {h:7.0e} s  left {corrected:8.2g}, emulated {emulated:8.2g}  {seconds[-1]:5.1f} s  {said}"
         )
+        if times:
+            said = f"bounds {np.median(times):.3g} to {max(times):.3g} times those in continuous time"
+            console.print(f"{'':28} {said}, {max(reached):.2g} of one reached, {tubes:.1f} s")
     console.print(
         f"emulated leaves {np.nanmedian(shares):.3g} times as much (median), least {np.nanmin(shares):.2g} times"
     )
     console.print(
         f"{len(rates)} of {len(seconds)} proved, at {np.median(rates):.2g} of the rate in continuous time (median)"
     )
+    if worst:
+        said = f"bounds are {np.median(worst):.3g} times those in continuous time (median), {max(worst):.3g} at most"
+        console.print(f"{said}; {len(found)} switchings reach {max(found):.2g} of one at most")
     console.print(f"proof or its refusal: median {np.median(seconds):.2g} s, longest {max(seconds):.3g} s")
 
 

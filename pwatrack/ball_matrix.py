@@ -9,7 +9,7 @@ from typing import Any
 import flint
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.rational import Rational, floats, fraction_of, identity, on_entries, rational, stacked
+from pwatrack.rational import Rational, floats, fraction_of, identity, number, on_entries, rational, stacked
 from pwatrack.real import Real
 
 
@@ -93,6 +93,12 @@ class BallMatrix:
         """Return the transpose."""
         return BallMatrix(self.centre.transpose(), None if self.radius is None else self.radius.transpose())
 
+    def times(self, share: Fraction) -> "BallMatrix":
+        """Return a multiple."""
+        return BallMatrix(
+            number(share) * self.centre, None if self.radius is None else number(abs(share)) * self.radius
+        )
+
     @cached_property
     def texts(self) -> list[list[str]]:
         """The centre as decimals and fractions."""
@@ -114,6 +120,11 @@ def above(*matrices: BallMatrix) -> BallMatrix:
 def beside(*matrices: BallMatrix) -> BallMatrix:
     """Return matrices beside each other."""
     return above(*(X.transpose() for X in matrices)).transpose()
+
+
+def zero(rows: int, columns: int) -> BallMatrix:
+    """Return 0."""
+    return BallMatrix(flint.fmpq_mat(rows, columns))
 
 
 def each(function: Callable[[BallMatrix], BallMatrix], matrices: Sequence[BallMatrix]) -> list[BallMatrix]:

@@ -9,7 +9,10 @@ from scipy.linalg import expm, solve_discrete_are
 from pwatrack import Spec
 from pwatrack.arrays import Array
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.sampled_disturbances import driven
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.clocked import ClockedProof
@@ -53,7 +56,8 @@ def running(
 ) -> Iterator[tuple[int, int, Array]]:
     """Yield z of a loop whose reference rests at 0, in each substep many times, with the number of both.
 
-    The plant is integrated by Runge and Kutta, and its prediction by exponentials in the cell of each substep's begin.
+    The plant is integrated by Runge and Kutta, for as long as ticks happen to be apart, and its prediction by
+    exponentials in the cell of each substep's begin. Nothing is yielded while inputs act that were there before.
 
     Args:
         errors: What they are of; the plant rests at 0 without inputs and loads.
@@ -63,26 +67,40 @@ def running(
         fine: Steps in each substep.
     """
     plant, gains = errors.plant, errors.gains
-    (n, _), r = plant.B.shape, errors.parts
+    (n, m), r, late = plant.B.shape, errors.parts, gains.delay
     K, M, C, R = gains.K, gains.M, plant.observed.C.floats, errors.R.floats
     E = np.zeros((n, 0)) if plant.loads is None else plant.loads.E.floats
+    U, random = np.linalg.pinv(plant.B) @ E, np.random.default_rng(7)
     step = gains.sample_time / r / fine
-    x, s, seen = start[:n], start[n:], estimate
-    for _ in range(ticks):
-        seen = seen + M @ (C @ seen - C[:, :n] @ x)
-        held = K @ seen[:n]
-        u = held - np.linalg.pinv(plant.B) @ E @ seen[n:]
+    x, s, waiting = start[:n], start[n:], [np.ones(m)] * late
+    seen = [estimate] * errors.predicted  # from the last tick, from the one before …
+    for tick in range(-late, ticks):
+        now = seen[0] + M @ (C @ seen[0] - C[:, :n] @ x)
+        seen, ahead = [now, *seen[:-1]], now
+        for u in waiting:
+            for _ in range(r):
+                ahead = predicted(plant, ahead, u, step * fine)
+        u, *waiting = [*waiting, K @ ahead[:n] - U @ ahead[n:]]
+        pace = 1 + random.uniform(-1, 1) * gains.jitter / gains.sample_time
         for part in range(r):
-            begun, begin = plant.partition.locate(seen[:n]), seen[:n]
-            F = np.zeros((len(seen) + 1, len(seen) + 1))
-            F[:n, :n], F[:n, n:-1], F[:n, -1] = plant.A[begun], E, plant.b[begun] + plant.B @ u
-            turned, ahead = expm(F * step), np.append(seen, 1.0)
+            begin = seen
             for k in range(fine + 1):
-                seen = ahead[:-1]
-                yield part, k, np.concatenate([x, held, seen - np.append(x, s), R @ (seen[:n] - begin)])
-                if k < fine:
-                    x = integrated(plant, x, plant.B @ u + E @ s, step)
-                    ahead = turned @ ahead
+                if k:
+                    x = integrated(plant, x, plant.B @ u + E @ s, pace * step)
+                seen = [predicted(plant, one, u, k * step) for one in begin]
+                Delta, moved = np.hstack(seen) - np.tile(np.append(x, s), len(seen)), np.subtract(seen, begin)[:, :n]
+                if tick >= 0:
+                    nu = u + U @ (s if late else seen[0][n:])  # of loads what e' does not have
+                    yield part, k, np.concatenate([x, nu, Delta, (moved @ R.T).ravel()])
+
+
+def predicted(plant: PWASystem, seen: Array, u: Array, time: float) -> Array:
+    """Return x̂ and ŝ some time later by the law of the cell of x̂."""
+    (n, _), N = plant.B.shape, len(seen)
+    E = np.zeros((n, 0)) if plant.loads is None else plant.loads.E.floats
+    i, F = plant.partition.locate(seen[:n]), np.zeros((N + 1, N + 1))
+    F[:n, :n], F[:n, n:-1], F[:n, -1] = plant.A[i], E, plant.b[i] + plant.B @ u
+    return np.asarray(expm(F * time) @ np.append(seen, 1.0))[:-1]
 
 
 def integrated(plant: PWASystem, x: Array, push: Array, step: float) -> Array:
@@ -107,3 +125,29 @@ def form_at(proof: ClockedProof, parts: int, part: int, share: float) -> Array:
     k = min(int(place), size - 2)
     one, other = P[part * size + k], P[part * size + k + 1]
     return np.asarray(one + (place - k) * (other - one))
+
+
+def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int) -> float:
+    """Return |c z| for a switching at random with what acts at its worst: known from what each stretch adds to c z."""
+    errors, random = claim.errors, np.random.default_rng(seed)
+    system, drive = errors.clocked, driven(errors, channel)
+    F = np.array([X.floats for X in system.F])
+    J, parts, fine, n = system.J[0].floats, system.parts, 4, F.shape[1]
+    R = np.eye(n) if system.between is None else system.between.floats
+    dt = float(system.period) / parts / fine
+    held, between = drive.held.floats, drive.between.floats
+    kick = None if drive.ticks is None else drive.ticks.floats
+    shares = random.dirichlet(np.full(len(F), 0.1), size=parts * fine)
+    last, total = c.copy(), 0.0
+    for _ in range(150):  # backwards from the end
+        for part in reversed(range(parts)):
+            for k in reversed(range(fine)):
+                A = np.tensordot(shares[part * fine + k], F, 1)
+                g = A @ held + between
+                whole = expm(np.block([[A, g], [np.zeros((1, n + 1))]]) * dt)
+                total += abs(float((last @ whole[:n, n:]).item()))
+                last = last @ whole[:n, :n]
+            last = last @ (R if part else np.eye(n))
+        total += 0.0 if kick is None else abs(float((last @ kick).item()))
+        last = last @ J
+    return total

@@ -166,6 +166,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         damping = "0.3" if name == "polynomials" else "1"
         limits = "actuator: {limits: {u: [-9, 9]}}" if name == "uncertain" else "portraits: []"
         limits = "controller: {sample_time: 0.01, delay: 1}" if name == "late" else limits
+        limits = "controller: {sample_time: 0.01}, quantum: {y: 0.001}" if name == "setpoint" else limits
         path = tmp_path / f"{name}.yaml"
         path.write_text(
             f"""name: {name}

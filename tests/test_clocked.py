@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi import margin_program
+from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, proves
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.margin_program import MarginProgram
@@ -132,16 +133,39 @@ def test_of_many_vertices_those_that_decide_are_found() -> None:
 def test_both_methods_find_the_same_margin(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(order)
     F = random.normal(size=(3, order, order)) * 0.2 - np.eye(order)
+    J = random.normal(size=(order, order)) / order
     margins = list[float]()
-    for limits in ((0, 0, 0), (0, 1e12, 1e12)):
-        monkeypatch.setattr(margin_program, "DENSE", limits)
-        program = MarginProgram(order, 1)
-        program.add({0: program.trace}, np.zeros((order, order)), np.eye(order))
+    for small in (0, 99):
+        monkeypatch.setattr(margin_program, "SMALL", small)
+        program = MarginProgram(order, 2)
         for X in F:
-            program.add({0: program.lyapunov(X)}, np.eye(order))
+            program.add({k: program.less if k else (X.T, np.eye(order)) for k in (0, 1)}, np.eye(order))
+        program.add({1: program.less, 0: (J.T / 2, J)}, np.eye(order) / 10)
+        program.add({1: program.more, 0: program.less}, np.eye(order) / 10)
         found = program.solved()
         assert found is not None
-        P, t = found
-        assert max(np.linalg.eigvalsh(X.T @ P[0] + P[0] @ X + t * np.eye(order))[-1] for X in F) < 1e-6
+        (P, Q), t = found
+        assert np.trace(P) <= order * (1 + 1e-6)
+        for X in F:
+            assert np.linalg.eigvalsh(X.T @ P + P @ X - Q + t * np.eye(order))[-1] < 1e-6
+        assert np.linalg.eigvalsh(J.T @ P @ J - Q + t / 10 * np.eye(order))[-1] < 1e-6
+        assert np.linalg.eigvalsh(Q - P + t / 10 * np.eye(order))[-1] < 1e-6
         margins.append(t)
     assert margins[0] == pytest.approx(margins[1], rel=0.03)
+
+
+def test_the_form_of_the_terms_gives_the_matrix_of_a_step() -> None:
+    """Against the same from the left-hand sides of all unit vectors."""
+    random, n = np.random.default_rng(0), 3
+    X = random.normal(size=(12, n, n))
+    terms = [{0: 0, 1: 2}, {1: 4, 2: 6}, {2: 8}, {0: 10}]
+    bounds = [Bound({k: (X[j], X[j + 1]) for k, j in each.items()}, np.eye(n) * at) for at, each in enumerate(terms)]
+    chain = ChainMap(bounds, 3)
+    W = random.normal(size=(len(bounds), n, n))
+    W, Z = W @ W.transpose(0, 2, 1), W + W.transpose(0, 2, 1)
+    images = np.array([chain.apply(unit) for unit in np.eye(chain.size)])
+    each = images.reshape(chain.size, len(bounds), n, n)
+    H = np.zeros((chain.size, chain.size))
+    chain.normal(W.ravel(), H)
+    assert np.tril(H) == pytest.approx(np.tril(np.einsum("ujab,jbc,vjcd,jda->uv", each, W, each, W)), rel=1e-12)
+    assert chain.adjoint(Z.ravel()) == pytest.approx(images @ Z.ravel(), rel=1e-12)

@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from pwatrack import Spec, design, load_spec, simulate
-from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.sampled_disturbances import driven, row
+from pwatrack.control.sampled_disturbances import row
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.clocked import Clocked
 from pwatrack.lmi.clocked_tubes import Drive, tube
@@ -25,7 +23,7 @@ from pwatrack.lmi.tube_program import TubeProgram
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.propagate import simulate_flow
-from tests.sampled import asking
+from tests.sampled import asking, worst_found
 
 MACHINE = """
   controller: {sample_time: 0.1}
@@ -70,32 +68,6 @@ def test_what_drives_beside_a_state_is_what_that_state_drives() -> None:
     found = tube(program, Drive(held=one, between=nothing), one, np.ones(1), 1.0)
     assert found is not None
     assert 1.0 <= found.sizes[0] < 1.01
-
-
-def worst_found(claim: SampledBounds, channel: Any, c: Array, seed: int) -> float:
-    """Return the largest |c z| that a random switching has for what drives it worst: known from its transitions."""
-    errors, random = claim.errors, np.random.default_rng(seed)
-    system, drive = errors.clocked, driven(errors, channel)
-    F = np.array([X.floats for X in system.F])
-    J, parts, fine, n = system.J[0].floats, system.parts, 4, F.shape[1]
-    R = np.eye(n) if system.between is None else system.between.floats
-    dt = float(system.period) / parts / fine
-    held, between = drive.held.floats, drive.between.floats
-    kick = None if drive.ticks is None else drive.ticks.floats
-    periodic = random.dirichlet(np.full(len(F), 0.1), size=parts * fine)
-    last, total = c.copy(), 0.0
-    for _ in range(150):  # backwards: what each stretch, or tick, adds to c z at the end
-        for part in reversed(range(parts)):
-            for k in reversed(range(fine)):
-                A = np.tensordot(periodic[part * fine + k], F, 1)
-                g = A @ held + between
-                whole = expm(np.block([[A, g], [np.zeros((1, n + 1))]]) * dt)
-                total += abs(float((last @ whole[:n, n:]).item()))
-                last = last @ whole[:n, :n]
-            last = last @ (R if part else np.eye(n))
-        total += 0.0 if kick is None else abs(float((last @ kick).item()))
-        last = last @ J
-    return total
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -166,6 +138,7 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "no Q": lambda t: t[0].update(Q=[]),
     "a smaller Q": lambda t: t[0]["Q"].__setitem__(0, t[1]["Q"][0]),
     "b of 1": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="1"),
+    "another b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0.5"),
     "no b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0"),
 }
 

@@ -18,14 +18,18 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_gains import SampledGains, sampled_gains
+from pwatrack.control.sampled_search import with_forms
 from pwatrack.control.vertices import held_rows, outermost
 from pwatrack.lmi.audit.bounds import Loop
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.ticks import AuditedErrors
 from pwatrack.lmi.clocked import ClockedProof, fastest
+from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
+from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.simulation.sampled_runs import sampling_remarks
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
 
 LOADED = """
@@ -87,7 +91,7 @@ def test_the_example_of_section_five_is_proved(h: float, section: tuple[Spec, Pr
 
 def falls_along(errors: SampledErrors, proof: ClockedProof, starts: Array, ticks: int) -> None:
     """The form falls along the loop as it runs, cells crossed wherever they are."""
-    fine, N = 12, errors.plant.observed.C.shape[1]
+    fine, N = 6, errors.plant.observed.C.shape[1]
     fallen = np.exp(-2 * proof.rate * errors.gains.sample_time / errors.parts / fine)
     for start in starts:
         value = float("inf")
@@ -97,19 +101,25 @@ def falls_along(errors: SampledErrors, proof: ClockedProof, starts: Array, ticks
             value = after
 
 
-@pytest.mark.parametrize("substeps", [1, 3])
-def test_the_form_falls_along_the_loop_itself(substeps: int, section: tuple[Spec, ProvedController]) -> None:
+@pytest.mark.parametrize(
+    ("substeps", "delay", "jitter"), [(1, 0, 0.0), (3, 0, 0.0), (2, 1, 0.0), (1, 2, 0.0), (1, 1, 0.005)]
+)
+def test_the_form_falls_along_the_loop_itself(
+    substeps: int, delay: int, jitter: float, section: tuple[Spec, ProvedController]
+) -> None:
     spec, controller = section
-    found = with_sampled(spec, controller, gains_of(controller, 0.05, substeps))
+    gains = replace(gains_of(controller, 0.05, substeps), delay=delay, jitter=jitter)
+    found = with_sampled(spec, controller, gains)
     errors = SampledErrors.of(controller.plant, the_claim(found).gains)
     starts = np.random.default_rng(1).normal(size=(3, 8)) * 0.3
-    falls_along(errors, proof_of(found), starts, ticks=120 // (substeps + 1))
+    falls_along(errors, proof_of(found), starts, ticks=60 // (substeps + delay))
 
 
-def test_so_it_does_where_a_load_is_estimated(loaded: tuple[Spec, ProvedController]) -> None:
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_so_it_does_where_a_load_is_estimated(delay: int, loaded: tuple[Spec, ProvedController]) -> None:
     spec, controller = loaded
     h, plant = 0.05, controller.plant
-    found = with_sampled(spec, controller, gains_of(controller, h, K=regulator(plant, h)))
+    found = with_sampled(spec, controller, replace(gains_of(controller, h, K=regulator(plant, h)), delay=delay))
     errors = SampledErrors.of(plant, the_claim(found).gains)
     falls_along(errors, proof_of(found), np.random.default_rng(2).normal(size=(3, 6)) * 0.3, ticks=60)
 
@@ -158,7 +168,7 @@ def test_a_certificate_holds_the_proof_and_is_read_again(
     assert told.data(found) == the_claim(found).data(found)
     assert list(told.rows(spec.words, found)) == list(the_claim(found).rows(spec.words, found))
     assert told.figures(spec.words, found)["sampled"]["rate"] == proof_of(found).rate
-    other = replace(the_claim(found).gains, sample_time=0.06)
+    other = replace(the_claim(found).gains, delay=1)
     with pytest.raises(ValueError, match="not those of its certificate"):
         list(SampledLoop.read(content, found, asking(spec, found, other)))
 
@@ -176,6 +186,12 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "one substep": lambda s: s.update(substeps=1, P=s["P"][:2]),
     "more substeps than knots": lambda s: s.update(substeps=3),
     "very many substeps": lambda s: s.update(substeps=10**9),
+    "inputs that are later": lambda s: s.update(delay=1),
+    "inputs that are much later": lambda s: s.update(delay=2),
+    "inputs that are early": lambda s: s.update(delay=-1),
+    "ticks that come anywhere": lambda s: s.update(jitter="0.049"),
+    "ticks that come before the one before": lambda s: s.update(jitter="0.05"),
+    "a jitter that is negative": lambda s: s.update(jitter="-0.001"),
     "no substep": lambda s: s.update(substeps=0),
     "knots that are missing": lambda s: s["P"].pop(),
     "no knots": lambda s: s.update(P=[]),
@@ -236,9 +252,13 @@ def matrices_of(balls: Any) -> set[Any]:
 
 
 @pytest.mark.parametrize("which", ["section", "loaded"])
-def test_the_auditor_makes_the_same_matrices_from_the_file(which: str, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize(("delay", "jitter"), [(0, 0.0), (1, 0.01), (2, 0.01)])
+def test_the_auditor_makes_the_same_matrices_from_the_file(
+    which: str, delay: int, jitter: float, request: pytest.FixtureRequest
+) -> None:
     spec, controller = request.getfixturevalue(which)
     gains = gains_of(controller, 0.05, 2, regulator(controller.plant, 0.05))
+    gains = replace(gains, delay=delay, jitter=jitter)
     errors = SampledErrors.of(controller.plant, gains)
     content = design_certificate(spec, controller)
     told = SampledLoop(gains=gains, proof=ClockedProof(P=(), rate=1.0)).data(controller)["sampled"]
@@ -257,14 +277,31 @@ def test_what_is_not_proved_is_said(section: tuple[Spec, ProvedController]) -> N
     assert the_claim(found).proof is None
     assert the_claim(found).data(found) == {}
     rows = list(the_claim(found).rows(spec.words, found))
-    assert rows[0] == (
-        "sampled loop",
-        "not proved: no forms were found that prove it; every 1 s it is proved",
-    )
+    assert rows[0] == ("sampled loop", "not proved: no forms were found that prove it")
     (told,) = SampledLoop.read({"sampled": None}, controller, asking(spec, controller, slow))
     assert list(told.rows(spec.words, found))[1:] == rows[1:]
     assert told.sentence == the_claim(found).sentence
     assert list(SampledLoop.prove(controller, replace(asking(spec, controller, slow), sampled=None))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("h", "delay"), [(0.1, 0), (1.5, 1)])
+def test_the_longest_sample_time_is_proved_and_below_one_that_is_unstable(
+    h: float, delay: int, loaded: tuple[Spec, ProvedController]
+) -> None:
+    _, controller = loaded
+    sampling, design = Sampling(sample_time=h, delay=delay), (controller.plant, controller.K, controller.L)
+    claim = SampledLoop(gains=sampled_gains(*design, sampling), proof=None, design=design)
+    longest = claim.longest
+    assert longest is not None
+    assert with_forms(controller.plant, sampled_gains(*design, replace(sampling, sample_time=longest))) is not None
+    unstable = SampleMaps(controller, controller.plant, sampling).longest(100.0)
+    assert unstable is not None
+    assert 0.2 * unstable < longest < unstable
+    found = replace(controller, claims=(claim,))
+    (remark,) = sampling_remarks(found, Conditions(sampling=replace(sampling, sample_time=longest)))
+    assert remark.endswith(f"with gains made for it, is {longest:g} s")
+    assert remark.startswith("1.5 s are too long for a proof: ") == (h > longest)
 
 
 def test_loads_elsewhere_than_at_inputs_are_not_tried(tmp_path: Path) -> None:
@@ -276,14 +313,10 @@ def test_loads_elsewhere_than_at_inputs_are_not_tried(tmp_path: Path) -> None:
     assert claim.missing == "loads that are estimated do not only act at inputs, one for each tracked output"
 
 
-def test_late_inputs_and_merged_cells_are_not_tried(section: tuple[Spec, ProvedController]) -> None:
+def test_merged_cells_are_not_tried(section: tuple[Spec, ProvedController]) -> None:
     spec, controller = section
-    gains = gains_of(controller, 0.05)
-    late = asking(spec, controller, replace(gains, delay=1))
-    (claim,) = SampledLoop.prove(controller, late)
-    assert claim.missing == "inputs are late, and what waits is not in the proof"
     watched = replace(controller, plant=replace(controller.plant, watched=controller.plant))
-    (claim,) = SampledLoop.prove(watched, late)
+    (claim,) = SampledLoop.prove(watched, asking(spec, controller, gains_of(controller, 0.05)))
     assert claim.missing == "cells are merged, and what is merged would act on the prediction too"
 
 

@@ -17,7 +17,7 @@ from pwatrack.errors import CheckFailed
 from pwatrack.export.controller import Controller
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
-from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.simulation.propagate import simulate_flow, tick_times
 from pwatrack.simulation.sample_map import SampleMaps
 from pwatrack.simulation.sampled_runs import check_sample_time, dying_out
 from tests.plants import random_plant
@@ -206,6 +206,33 @@ def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_pat
     path.write_text(BENT.replace("TIME", "0.01"), encoding="utf-8")
     assert "unstable in cell" not in call("design", path, "--out", tmp_path / "out").output
     assert "unstable in cell" not in call("check", path).output
+
+
+def test_ticks_with_jitter_are_as_far_apart_as_it_says_and_do_not_get_away() -> None:
+    h, jitter, end = 0.01, 0.002, 5.0
+    times = tick_times(Sampling(sample_time=h, jitter=jitter), end)
+    apart = np.diff(times)
+    assert times[0] == 0
+    assert h - jitter < apart.min() < h - 0.8 * jitter
+    assert h + 0.8 * jitter < apart.max() < h + jitter
+    assert np.abs(times - h * np.arange(len(times))).max() <= jitter / 2
+    assert times[-1] <= end
+
+
+def test_a_loop_with_jitter_is_simulated_and_the_program_is_the_same(tmp_path: Path) -> None:
+    """What little the ticks move moves the run as little."""
+    still, moved = (
+        simulate(load_spec(cart(tmp_path, f"controller: {{sample_time: {ticks}}}", duration=4)))
+        for ticks in ("0.01", "{nominal: 0.01, jitter: 0.001}")
+    )
+    off = np.abs(still.response.x - moved.response.x).max()
+    assert 1e-9 < off < 1e-2 * np.abs(still.response.x).max()
+
+
+@pytest.mark.parametrize("jitter", ["0.01", "-1e-3", "0"])
+def test_a_tick_does_not_come_before_the_last_one(tmp_path: Path, jitter: str) -> None:
+    path = cart(tmp_path, f"controller: {{sample_time: {{nominal: 0.01, jitter: {jitter}}}}}")
+    assert "simulation.controller.sample_time" in refused(call("check", path), 2)
 
 
 @pytest.mark.parametrize("delay", ["-1", "11", "0.5"])

@@ -5,7 +5,7 @@ what 1 of each channel of `control.sampled_disturbances` leaves is bounded by a 
 in the run is enclosed. The sum of the products is a bound of each signal in the end, and with the start at all times.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, Context
 from typing import Any, ClassVar
@@ -30,7 +30,8 @@ from pwatrack.rational import floats
 
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _ROUNDED = 1e-9  # of a time in ticks
-_SHARES = (0.5, 1.0, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, as it is tried
+_SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
+_MORE = (1.6, 2.0)  # times that, as long as bounds get less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,10 +121,9 @@ class SampledBounds(Claim):
         ends, n = self.ends_below(controller), len(controller.plant.B)
         if not (seen.sampled and ends):
             return {}
-        first = np.zeros(self.errors.order)
-        at = self.errors.order - self.errors.R.shape[0] - (len(seen.start) - n)
-        first[:n], first[at : at + len(seen.start) - n] = seen.start[:n], seen.start[n:]
-        first, h = self.errors.clocked.J[0].floats @ first, self.errors.gains.sample_time
+        e, delta, h = seen.start[:n], seen.start[n:], self.errors.gains.sample_time  # after the tick at t = 0
+        rho = np.zeros(self.errors.R.shape[0])
+        first = np.concatenate([e, self.errors.gains.K @ (e + delta[:n]), delta, rho])
         most = dict.fromkeys(ends, np.full(len(seen.t), np.inf))
         for one in self.tubes.values():
             size, ticks = in_ellipsoid(one.Q[0], first) * OVER_POWERS, np.floor(seen.t / h * (1 - _ROUNDED))
@@ -181,7 +181,7 @@ def _known(
 ) -> Iterator[tuple[ClockedProof, SampledErrors, Mapping[Channel, float]]]:
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
-        if loop.proof is not None and asked.acting is not None:
+        if loop.proof is not None and asked.acting is not None and not (loop.gains.delay or loop.gains.jitter):
             errors = SampledErrors.of(controller.plant, loop.gains)
             acts = asked.acting(controller, errors)
             if acts is not None:
@@ -189,26 +189,29 @@ def _known(
 
 
 def _tubes(
-    controller: ProvedController, errors: SampledErrors, proof: ClockedProof, channels: list[Channel]
+    controller: ProvedController, errors: SampledErrors, proof: ClockedProof, channels: Sequence[Channel]
 ) -> Iterator[tuple[Channel, Tube]]:
-    """Yield a tube for each channel that one is proved for; with what the first one decays with best."""
+    """Yield a tube for each channel that one is proved for; with what the first of them decays with best."""
     system, forms = errors.clocked, list(seen(controller))
     program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
-    rows = above(*(row(errors, form) for form in forms))
-    weights = _weights(controller, forms)
-    decays = [rounded_down(share * program.most, 3) for share in _SHARES]
+    rows, weights, share = above(*(row(errors, form) for form in forms)), _weights(controller, forms), 0.0
+
+    def at(channel: Channel, share: float) -> tuple[float, float, Tube] | None:
+        found = tube(program, driven(errors, channel), rows, weights, rounded_down(share * program.most, 3))
+        return None if found is None else (float(weights @ np.square(found.sizes)), share, found)
+
     for channel in channels:
-        best, least = None, np.inf
-        for k, decay in enumerate(decays):
-            found = tube(program, driven(errors, channel), rows, weights, decay)
-            cost = np.inf if found is None else float(weights @ np.square(found.sizes))
-            if cost < least:
-                best, least, at = found, cost, decay
-            if best is not None and k:
+        best = next(filter(None, (at(channel, one) for one in ([share, *_SHARES] if share else _SHARES))), None)
+        if best is None:
+            continue
+        first = best[1]
+        for factor in () if share else _MORE:
+            more = at(channel, factor * first)
+            if more is None or more[0] > best[0]:
                 break
-        if best is not None:
-            decays = [at]
-            yield channel, best
+            best = more
+        _, share, found = best
+        yield channel, found
 
 
 def _weights(controller: ProvedController, forms: list[Form]) -> Array:

@@ -180,7 +180,7 @@ class ProvedController:
     def sampled_gains(self, sampling: Sampling) -> SampledGains:
         """Return what a program runs with that corrects: the gains that a claim is about, or those made for it now."""
         for gains in (claim.runs_with for claim in self.claims):
-            if gains is not None and (gains.sample_time, gains.delay) == (sampling.sample_time, sampling.delay):
+            if gains is not None and gains.of(sampling):
                 return gains
         return sampled_gains(self.plant, self.design.K, self.design.L, sampling)
 

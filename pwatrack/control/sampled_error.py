@@ -1,47 +1,55 @@
 """The errors of a loop that is sampled: between ticks for any switching, and what a tick makes of them.
 
-At a tick t_k the program corrects x̂ and ŝ by M (C x̂ − y), and holds u = K (x̂ − x_d) + u_ff for h. From there it
-predicts x̃: in each of r substeps with the affine law of the cell a in which x̃ is when it begins, at p. For
+At a tick t_k the program corrects x̂ and ŝ by M (C x̂ − y), and what it puts out is held for h. From there it predicts x̃:
+in each of r substeps with the affine law of the cell a in which x̃ is when it begins, at p. Where inputs are d samples
+late it predicts d times more, with the inputs that wait, and what it puts out acts d samples later. What acts from t_k
+on is u = K (x̃_d − x_d(t_k)) − U s̃_d + u_ff, where (x̃_i, s̃_i) is what was predicted for now from the tick i ago:
+x̃_0 = x̂_k at the tick. With loads s, if any, that are constants at inputs, E = B U, for
 
-    e = x − x_d,   ν = K (x̂ − x_d) at the tick,   (Δ, σ) = (x̃ − x, ŝ − s),   ρ = R (x̃ − p) − R (x_d(t) − x_d(t_p))
+    e = x − x_d,   ν = K (x̃_d − x_d) at the tick,   (Δ_i, σ_i) = (x̃_i − x, s̃_i − s),
+    ρ_i = R (x̃_i − p_i) − R (x_d(t) − x_d(t_p))
 
-with rows R that span those of all A_a − A_b = G_ab R, and loads s, if any, that are constants at inputs, E = B U, for
-which u_ff has − U ŝ,
+and i = 0 … max(d, 1) − 1, with rows R that span those of all A_a − A_b = G_ab R,
 
-    e' = A_i e + B ν − E σ + B ω,      ν' = 0,
+    e' = A_i e + B ν − E σ_0 + B ω,      ν' = 0,
     (Δ, σ)' = [A_j, E; 0, 0] (Δ, σ) + (G_ab (ρ + R (x_d(t) − x_d(t_p))), 0),      ρ' = R (e' + Δ').
 
 The field f of all cells has f(x) − f(x_d) = A_i (x − x_d) with A_i in the hull of the cells, likewise for x̃ and x; and
-f_a(x̃) − f(x̃) = (A_a − A_b)(x̃ − p), since f_a(p) = f(p). i, j and (a, b) are any. After a substep ρ⁺ = 0; after a tick,
-with noise n beside C Δ,
+f_a(x̃) − f(x̃) = (A_a − A_b)(x̃ − p), since f_a(p) = f(p). i is any, and j and (a, b) are any for each prediction. After a
+substep ρ⁺ = 0; after a tick, with noise n beside C Δ_0,
 
-    e⁺ = e,   (Δ, σ)⁺ = (Δ, σ) + M C Δ,   ν⁺ = K (e⁺ + Δ⁺),   ρ⁺ = 0.
+    e⁺ = e,   (Δ_0, σ_0)⁺ = (Δ_0, σ_0) + M C Δ_0,   (Δ_i, σ_i)⁺ = (Δ_{i−1}, σ_{i−1}),   ρ⁺ = 0,
+    ν⁺ = K (e + Δ_0⁺) without delay,   ν⁺ = K (e + Δ_{d−1}) − U σ_{d−1} with it.
 
-ω = u_ff as it is held less u_ff(t), what the reference moves in a substep, disturbances, n and what the steps of the
-generator leave of (15) act from outside. Of other loads ŝ would move x_d, and with it ω: nothing is said of these.
+With delay ν has −U σ_d of its tick, and e' no − E σ_0. So one sample of it adds nothing: x̃_1 is x̃_0 not yet corrected.
+
+A tick that comes λ h after the one before finds x̃ predicted for h all the same. In the time of the program, which is h
+from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else 1 − λ multiplies is x_d'.
+
+ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n and
+steps of the generator beside (15) act from outside. Of other loads ŝ would move x_d and ω: nothing is said of these.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from itertools import permutations
+from fractions import Fraction
+from functools import cached_property
+from itertools import permutations, product
 
 import numpy as np
 
-from pwatrack.ball_matrix import BallMatrix, above, beside, different
+from pwatrack.ball_matrix import BallMatrix, above, beside, different, zero
 from pwatrack.control.sampled_gains import SampledGains
-from pwatrack.control.vertices import held_rows, outermost
+from pwatrack.control.vertices import held_rows, outermost, outermost_cells
 from pwatrack.lmi.clocked import Clocked
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import identity, pivots
 from pwatrack.real import Real
 
-_MOST_CELLS = 200  # of a hull, that are looked at one by one
-
 
 @dataclass(frozen=True, kw_only=True)
 class SampledErrors:
-    """What (e, ν, Δ, σ, ρ) of a sampled loop obey.
+    """What z = (e, ν, (Δ_i, σ_i) …, ρ_i …) of a sampled loop obeys.
 
     Attributes:
         plant: What runs, and what the program predicts.
@@ -57,28 +65,29 @@ class SampledErrors:
     changes: Sequence[BallMatrix]
     R: BallMatrix
 
-    @staticmethod
-    def least_work(plant: PWASystem, gains: SampledGains) -> int:
-        """Return what inequalities times the square of their order are at least, without looking for changes.
-
-        There are as many of these as cells at least: a hull of differences has no fewer corners than the hull.
-        """
-        cells = len(plant.hull) if len(plant.hull) > _MOST_CELLS else len(cells_of(plant))
-        parts = gains.substeps if cells > 1 else 1
-        return 2 * parts * cells**3 * (sum(plant.B.shape) + plant.observed.C.shape[1] + (cells > 1)) ** 2
-
     @classmethod
     def of(cls, plant: PWASystem, gains: SampledGains) -> "SampledErrors":
         """Find cells and changes that the others are means of."""
-        cells = cells_of(plant)
+        cells = outermost_cells(plant)
         changes = outermost([one - other for one, other in permutations(cells, 2)])
         R = held_rows(changes, plant.B.shape[0])
         return cls(plant=plant, gains=gains, cells=cells, changes=changes, R=R)
 
     @property
+    def predicted(self) -> int:
+        """How many predictions for now, from ticks one after the other, still matter."""
+        return max(1, self.gains.delay)
+
+    @property
     def order(self) -> int:
         """How many errors there are."""
-        return sum(self.plant.B.shape) + self.plant.observed.C.shape[1] + self.R.shape[0]
+        return sum(self.widths)
+
+    @cached_property
+    def widths(self) -> tuple[int, ...]:
+        """Of e, ν, each (Δ_i, σ_i) and each ρ_i."""
+        (n, m), N, q = self.plant.B.shape, self.plant.observed.C.shape[1], self.R.shape[0]
+        return n, m, *[N] * self.predicted, *[q] * self.predicted
 
     @property
     def parts(self) -> int:
@@ -86,58 +95,56 @@ class SampledErrors:
         return self.gains.substeps if self.changes else 1
 
     @property
-    def inequalities(self) -> int:
-        """Between ticks, for one segment in each substep."""
-        return 2 * self.parts * len(self.cells) ** 2 * max(1, len(self.changes))
+    def paces(self) -> list[Fraction]:
+        """λ: the shortest and the longest time between ticks, as a share of h."""
+        h, jitter = Real.of(self.gains.sample_time).centre, Real.of(self.gains.jitter).centre
+        return [1 - jitter / h, 1 + jitter / h] if jitter else [Fraction(1)]
 
     @property
     def clocked(self) -> Clocked:
-        """They as a system with a clock."""
-        plant, R = self.plant, self.R
-        (n, m), N, q = plant.B.shape, plant.observed.C.shape[1], R.shape[0]
-        seen = [plant.loads.observed(A) for A in self.cells] if plant.loads is not None else self.cells
-        flows = list[BallMatrix]()
-        B, E = plant.exact.B, _zero(n, N) if plant.loads is None else beside(_zero(n, n), plant.loads.E)
-        for A_i in self.cells:
-            e = reduce(beside, (A_i, B, _zero(n, N) - E, _zero(n, q)))
-            for A_j in seen:
-                for change in self.changes or [_zero(n, n)]:
-                    pushed = above(change.part(range(n), pivots(R.centre)), _zero(N - n, q))
-                    Delta = reduce(beside, (_zero(N, n + m), A_j, pushed))
-                    moved = R @ (e + Delta.part(range(n), range(n + m + N + q)))
-                    flows.append(reduce(above, (e, _zero(m, n + m + N + q), Delta, moved)))
+        """They as a system with a clock, in the time of the program."""
+        (n, m, *others), held = self.widths, self.predicted * self.R.shape[0]
+        ends = BallMatrix.of(np.diag([1.0] * (self.order - held) + [0.0] * held))
         return Clocked(
-            F=different(flows),
-            J=[_tick(plant, self.gains, q)],
+            F=different([F for pace in self.paces for F in self._flows(pace)]),
+            J=[self.tick],
             period=Real.of(self.gains.sample_time).centre,
             parts=self.parts,
-            between=_substep(n + m + N, q) if self.parts > 1 else None,
-            blocks=(n + m, N, *[1] * q),
+            between=ends if self.parts > 1 else None,
+            blocks=(n + m, *others[: self.predicted], *[1] * held),
         )
 
+    def _flows(self, pace: Fraction) -> list[BallMatrix]:
+        """Return what they obey between ticks that are a share of h apart."""
+        plant, d, (n, m, N, *_), found = self.plant, self.predicted, self.widths, list[BallMatrix]()
+        loads = plant.loads
+        seen = self.cells if loads is None else [loads.observed(A) for A in self.cells]
+        minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
+        pushes = [change.part(range(n), pivots(self.R.centre)) for change in self.changes] or [zero(n, 0)]
+        for A_i in self.cells:
+            e = self._row(n, {0: A_i, 1: plant.exact.B} | minus)
+            late = above(e.times(1 - pace), zero(N - n, self.order))
+            for predicted in product(product(seen, pushes), repeat=d):
+                Delta, rho = list[BallMatrix](), list[BallMatrix]()
+                for i, (A_j, push) in enumerate(predicted):
+                    row = self._row(N, {2 + i: A_j, 2 + d + i: above(push, zero(N - n, push.shape[1]))})
+                    Delta.append(row + late)
+                    rho.append(self.R @ (e + row.part(range(n), range(self.order))))
+                found.append(above(e.times(pace), zero(m, self.order), *Delta, *rho))
+        return found
 
-def cells_of(plant: PWASystem) -> list[BallMatrix]:
-    """Return A_i of the cells that have those of all cells in their hull."""
-    return outermost([plant.exact.A[i] for i in plant.hull])
+    @property
+    def tick(self) -> BallMatrix:
+        """What a tick makes of them."""
+        plant, gains, d, (n, m, N, *_) = self.plant, self.gains, self.predicted, self.widths
+        K, U, eye = BallMatrix.of(gains.K), zero(m, N - n), BallMatrix(identity(N))
+        if gains.delay and plant.loads is not None:
+            U = BallMatrix.of(np.eye(m)[:, list(plant.loads.inputs(plant.exact.B) or ())])
+        corrected, acts = eye + BallMatrix.of(gains.M) @ plant.observed.C, beside(K, zero(m, N - n) - U)
+        nu = self._row(m, {0: K, 1 + d: acts if gains.delay else acts @ corrected})
+        Delta = [self._row(N, {2: corrected}), *(self._row(N, {1 + i: eye}) for i in range(1, d))]
+        return above(self._row(n, {0: BallMatrix(identity(n))}), nu, *Delta, zero(d * self.R.shape[0], self.order))
 
-
-def _tick(plant: PWASystem, gains: SampledGains, q: int) -> BallMatrix:
-    """Return what a tick makes of (e, ν, Δ, σ, ρ)."""
-    (n, m), observed = plant.B.shape, plant.observed
-    N = observed.C.shape[1]
-    K, M = BallMatrix.of(gains.K), BallMatrix.of(gains.M)
-    corrected = BallMatrix(identity(N)) + M @ observed.C
-    held = reduce(beside, (K, _zero(m, m), K @ corrected.part(range(n), range(N)), _zero(m, q)))
-    e = beside(BallMatrix(identity(n)), _zero(n, m + N + q))
-    Delta = reduce(beside, (_zero(N, n + m), corrected, _zero(N, q)))
-    return reduce(above, (e, held, Delta, _zero(q, n + m + N + q)))
-
-
-def _substep(kept: int, q: int) -> BallMatrix:
-    """Return what the end of a substep makes of them."""
-    same = beside(BallMatrix(identity(kept)), _zero(kept, q))
-    return above(same, _zero(q, kept + q))
-
-
-def _zero(rows: int, columns: int) -> BallMatrix:
-    return BallMatrix.of(np.zeros((rows, columns)), (rows, columns))
+    def _row(self, height: int, blocks: Mapping[int, BallMatrix]) -> BallMatrix:
+        """Return rows on z that are 0 but for some blocks."""
+        return beside(*(blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)))

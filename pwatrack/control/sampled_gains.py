@@ -27,6 +27,7 @@ class SampledGains:
         sample_time: h in s.
         substeps: Of one prediction, at least 1.
         delay: How many samples late inputs are.
+        jitter: By how much the time between two ticks may differ from h, in s.
     """
 
     K: Array
@@ -34,6 +35,12 @@ class SampledGains:
     sample_time: float
     substeps: int = 1
     delay: int = 0
+    jitter: float = 0.0
+
+    def of(self, sampling: Sampling) -> bool:
+        """Say whether they are for this sample time, delay and jitter."""
+        own = self.sample_time, self.delay, self.jitter
+        return own == (sampling.sample_time, sampling.delay, sampling.jitter)
 
 
 @np.errstate(all="ignore")
@@ -52,6 +59,7 @@ def sampled_gains(plant: PWASystem, K: Array, L: Array, sampling: Sampling) -> S
         sample_time=h,
         substeps=1 if (plant.A[0] == plant.A).all() else _SUBSTEPS,
         delay=sampling.delay,
+        jitter=sampling.jitter,
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import Rational, fraction_of, identity, stacked
 
 
@@ -15,6 +16,11 @@ def outermost(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
         return found
     points = [X.centre.entries() for X in found]
     return [X for k, X in enumerate(found) if not _between(points, k)]
+
+
+def outermost_cells(plant: PWASystem) -> list[BallMatrix]:
+    """Return A_i of the cells that have those of all cells in their hull."""
+    return outermost([plant.exact.A[i] for i in plant.hull])
 
 
 def _between(points: Sequence[Sequence[Rational]], k: int) -> bool:

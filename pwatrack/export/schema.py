@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from pwatrack.control.sampled_gains import MOST_SUBSTEPS
-from pwatrack.model.conditions import Method
+from pwatrack.model.conditions import Method, Sampling
 
 FORMAT = "pwatrack controller 5"
 
@@ -158,6 +158,7 @@ class Sampled(StoredPart):
     method: Method
     proved: Text
     delay: Annotated[int, Field(ge=0, le=10)]
+    jitter: Annotated[Finite, Field(ge=0)]
     substeps: Annotated[int, Field(ge=1, le=MOST_SUBSTEPS)]
     K: Matrix
     M: Matrix
@@ -168,6 +169,11 @@ class Sampled(StoredPart):
     quantum: Vector
     inside: Inside
     outside: Outside
+
+    @property
+    def sampling(self) -> Sampling:
+        """How it runs."""
+        return Sampling(sample_time=self.sample_time, method=self.method, delay=self.delay, jitter=self.jitter)
 
 
 class FinalBound(StoredPart):

@@ -19,7 +19,7 @@ from pwatrack.control.program import Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
-from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.model.conditions import Conditions
 from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
@@ -28,7 +28,7 @@ _LOOKED = "not proved for switching between cells"
 _CLOSE = 1e-9  # of the largest entry of a table: what two matrix exponentials may differ by
 _SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one controller have in common
 _FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
-_CHOSEN = ("sample_time", "method", "delay", "substeps", "low", "high", "change", "quantum")
+_CHOSEN = ("sample_time", "method", "delay", "jitter", "substeps", "low", "high", "change", "quantum")
 
 
 def content(
@@ -90,6 +90,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "method": inside.sampling.method,
         "proved": next((claim.sentence for claim in controller.claims_of(SampledLoop)), _LOOKED),
         "delay": inside.sampling.delay,
+        "jitter": inside.sampling.jitter,
         "substeps": inside.substeps,
         **_lists(inside, "K", "M", "observer"),
         "low": _finite(inside.limits[:, 0]),
@@ -166,7 +167,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
 
     table("K", m, n)
     found = SampledController(
-        sampling=Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay),
+        sampling=part.sampling,
         H=table("plant.H", planes, n),
         h=table("plant.h", planes),
         signs=table("plant.signs", cells, planes, whole=True),
@@ -292,8 +293,7 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
         raise _other("K and L have other sizes")
     conditions, part = spec.scenario.conditions, known.program
     if part is not None and conditions.sampling is None:
-        sampling = Sampling(sample_time=part.sample_time, method=part.method, delay=part.delay)
-        spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
+        spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=part.sampling)))
     return replace(spec, objectives=replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L)))
 
 

@@ -25,11 +25,9 @@ from pwatrack.rational import Rational, beside, identity, is_positive_definite, 
 _TRIED = (1.0, 0.99, 0.9, 0.5)  # shares of the rate that is looked for, until one is proved
 _BITS = (40, 80)  # of the entries of P_k
 _LOOKS = 5  # at a rate, at most, once one is proved
-_MET = 0.8  # of a rate that was asked for, what is taken for it: rounding may hide the rest
-_GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
-_SHARES = (0.9, 0.5, 0.0)  # of what parts by themselves reach: what is asked of the whole
-_MANY = 16  # vertices, from which on it is asked first whether there is any rate: each look takes seconds
-_OF_MANY = (0.0, 0.5)  # what is asked then
+_SHARES = (0.9, 0.5)  # of what parts by themselves reach: what is asked of the whole
+_MANY = 16  # vertices, from which on each look takes seconds
+_OF_MANY = (0.5,)  # what is asked then
 
 
 Scaled = tuple[Rational, Sequence[Fraction]]  # a form, and about the roots of its diagonal
@@ -97,22 +95,22 @@ def fastest(system: Clocked, *, knots: int) -> ClockedProof | None:
         True
     """
     program = looked_for(system, knots)
-    with np.errstate(all="ignore"):
-        if not np.abs(program.over).max() < _GROWS:
-            return None
+    if not program.most > 0:
+        return None
     if len(system.blocks) < 2:
         alone = program.fastest(program.most, _LOOKS)
         return None if alone is None else proved_forms(system, alone[1].P, alone[0])
-    most, best = program.most_of_parts(system.blocks, _LOOKS), None
-    for share in () if most is None else _OF_MANY if len(system.F) > _MANY else _SHARES:
-        found = program.at(share * (most or 0.0))
-        if found is not None and found.rate > (0.0 if best is None else best.rate):
-            best = found
-        if best is None and not share:
-            return None
-        if best is not None and share and best.rate >= _MET * share * (most or 0.0):
+    best = program.at(0.0)
+    if best is None or not best.rate > 0:
+        return None
+    most = program.most_of_parts(system.blocks, _LOOKS) or 0.0
+    for share in _OF_MANY if len(system.F) > _MANY else _SHARES:
+        if best.rate >= share * most:
             break
-    return None if best is None else proved_forms(system, best.P, best.rate)
+        found = program.at(share * most)
+        if found is not None and found.rate > best.rate:
+            best = found
+    return proved_forms(system, best.P, best.rate)
 
 
 def proved_forms(system: Clocked, found: Sequence[Rational], rate: float) -> ClockedProof | None:

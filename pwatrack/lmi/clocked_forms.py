@@ -24,6 +24,7 @@ _HELD = 0.02  # of the margin that was found: what every other vertex is to keep
 _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not lose, if it does not grow
 _AGAIN = 2  # times that forms are looked for in coordinates of those that were found, before a larger rate is
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
+_GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
 _OF_P = 0.01  # share of the margin that P_k ⪰ 0 is to keep
 
 Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
@@ -77,7 +78,10 @@ class ClockedForms:
 
     @cached_property
     def most(self) -> float:
-        """No larger rate can be proved: what a vertex does by itself, in 1/s."""
+        """No larger rate can be proved: what a vertex does by itself, in 1/s; −∞ where that is out of range."""
+        with np.errstate(all="ignore"):
+            if not np.abs(self.over).max() < _GROWS:
+                return -np.inf
         radius = max(float(np.abs(np.linalg.eigvals(J @ self.over)).max()) for J in self.J)
         return -float(np.log(max(radius, 1e-300))) / self.period
 
@@ -195,16 +199,16 @@ class ClockedForms:
     def _solved(self, F: Array, J: Array, R: Array, weight: Array) -> tuple[Array, float] | None:
         """Return P, (knots, n, n), with the largest margin for the vertices that are asked for; None without one."""
         program = MarginProgram(F.shape[1], self.parts * (self.knots + 1))
+        less, more, eye = program.less, program.more, np.eye(program.n)
         for k in range(program.count):
-            program.add({k: -program.eye}, _OF_P * weight)
-        program.add({0: program.trace}, 0 * weight, np.eye(program.n))
+            program.add({k: less}, _OF_P * weight)
         for before, after, X, share in self.jumps(J, R):
-            program.add({before: -program.eye, after: program.congruence(X)}, share * weight)
+            program.add({before: less, after: (X.T / 2, X)}, share * weight)
         for segment, vertices in self._asked.items():
             k, after, e = segment
             for i in vertices:
-                terms = {k: -program.eye, after: program.eye}
-                terms[e] = terms[e] + self.step * program.lyapunov(F[i])
+                terms = {k: less, after: more}
+                terms[e] = terms[e][0] + self.step * F[i].T, eye
                 program.add(terms, self.share * weight)
         return program.solved()
 

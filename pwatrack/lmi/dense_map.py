@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array, symmetric_part
-from pwatrack.lmi.blocks import Blocks, Scaling
+from pwatrack.lmi.blocks import Scaling
 from pwatrack.lmi.linear_map import Equations, LinearMap, Normal, Side, Triangle
 from pwatrack.lmi.program import SemidefiniteProgram
 
@@ -49,17 +49,6 @@ class DenseMap(LinearMap):
 
     def step(self, scalings: Sequence[Scaling]) -> Equations:
         return DenseEquations(self, scalings[0])
-
-
-class StackMap(DenseMap):
-    """A program that is given by the left-hand sides of all unit vectors: the least cᵀv with A(v) + C ⪯ 0."""
-
-    def __init__(self, images: Array, constant: Array, cost: Array) -> None:
-        """Take A, (size, l, N, N), C, (l, N, N), and c."""
-        self.blocks = Blocks([(len(constant), constant.shape[1])])
-        self.images, self.constant = images.reshape(len(cost), -1), constant.ravel()
-        self.cost, self.size = cost, len(cost)
-        self.rows, self.values = np.zeros((0, self.size)), np.zeros(0)
 
 
 class DenseEquations(Equations):

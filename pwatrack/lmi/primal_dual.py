@@ -98,12 +98,12 @@ def solve(
 def least(linear: LinearMap, *, gap: float) -> Array | None:
     """Return v that satisfies the constraints with nearly the least cost; None where none does, or it is stuck.
 
-    Example: the least v with v ≥ 1 and v ≥ 2.
+    Example: the largest t with t I ⪯ 2 P, tr P = 1.
 
-        >>> from pwatrack.lmi.dense_map import StackMap
-        >>> at_least = StackMap(-np.ones((1, 2, 1, 1)), np.array([[[1.0]], [[2.0]]]), np.ones(1))
-        >>> least(at_least, gap=1e-6).round(4).tolist()
-        [2.0]
+        >>> from pwatrack.lmi.chain_map import Bound, ChainMap
+        >>> map_of_P = ChainMap([Bound({0: (-np.eye(1), np.eye(1))}, np.eye(1))], 1)
+        >>> least(map_of_P, gap=1e-6)[-1].round(4)
+        np.float64(2.0)
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         found = _minimise(linear, _start(linear), gap, None, 0.0)

@@ -34,6 +34,7 @@ class Sampling:
     sample_time: float  # in s
     method: Method = "corrected"
     delay: int = 0  # how many sample times an input is put out after what it is computed from was measured
+    jitter: float = 0.0  # by how much the time between two ticks may differ from the sample time, in s
 
     @property
     def corrects(self) -> bool:
@@ -96,8 +97,9 @@ class Conditions:
             levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
             said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
         if self.sampling is not None:
-            late = self.sampling.delay
+            late, jitter = self.sampling.delay, self.sampling.jitter
             text = f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})"
+            text += f", give or take {jitter:g} s" if jitter else ""
             said.append(text + (f", its output {amount(late, 'sample')} late" if late else ""))
         if self.quanta is not None:
             both = ((plant.outputs, self.quanta.outputs), (plant.inputs, self.quanta.inputs))

@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.causes import ProblemPart
 from pwatrack.errors import CheckFailed, InvalidSpec
+from pwatrack.model.conditions import Sampling
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
 from pwatrack.simulation.flow import Flow
@@ -25,6 +26,7 @@ MOST_EVENTS = 1_000_000  # at a time in memory
 _MOST_FINEST = 2.0**52  # finest steps of a run: their times must be different numbers
 _MOST_RADIANS = 2.0**32  # of what oscillates for good: its phase is then right to 1e-6
 _LASTING = 50.0, 1e-9  # time constants in a run, or part of its frequency, below which a decay does not count
+_SEED = 1  # of the times of ticks that vary
 _ON_GRID = 1e-9, 1e-15  # of a finest step, or of the time: what is nearer to the grid is on it but for rounding
 _UNBOUNDED = 1e100  # no tracking loop gets there
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span", "break_time", "break_mode", "break_z")
@@ -320,8 +322,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
         values[last - len(r.t) : last, r.where] = r.values
     if flow.clock is not None:
-        period = flow.clock.program.sampling.sample_time
-        times.append(period * np.arange(sample_count(end, period), dtype=np.float64))
+        times.append(tick_times(flow.clock.program.sampling, end))
         edges.append(np.zeros((len(times[-1]), 2), dtype=np.int64))
         row = np.append(row, np.full(len(times[-1]), -1))
     step = np.concatenate([np.empty(0), *times]) / h
@@ -337,6 +338,14 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
         values=values,
         counted=np.ascontiguousarray((np.zeros_like(flow.F0) if flow.counted is None else flow.counted).T),
     )
+
+
+def tick_times(sampling: Sampling, end: float) -> Array:
+    """Return when a clock ticks: with jitter somewhere about its times, the first at 0, so that none gets away."""
+    count = sample_count(end, sampling.sample_time)
+    away = np.random.default_rng(_SEED).uniform(-0.5, 0.5, size=count) * sampling.jitter
+    away[:1] = 0.0
+    return np.asarray(np.minimum(sampling.sample_time * np.arange(count) + away, end))
 
 
 def _ticks(flow: Flow) -> Any:

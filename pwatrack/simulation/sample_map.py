@@ -109,7 +109,7 @@ class SampleMaps:
         if h not in self._kept:
             self._kept.clear()
             of = replace(self.controller, plant=replace(self.controller.plant, watched=None))
-            self._kept[h] = program(of, Conditions(sampling=replace(self.sampling, sample_time=h)))
+            self._kept[h] = program(of, Conditions(sampling=replace(self.sampling, sample_time=h, jitter=0.0)))
         return self._kept[h]
 
     def _law(self, cell: int, of: SampledController) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.causes import ProblemPart, Remedy, Way
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.model.conditions import Conditions
@@ -27,9 +28,18 @@ _SEED = 1  # of the directions: the same ones each time
 
 
 def sampling_remarks(controller: ProvedController, conditions: Conditions) -> tuple[str, ...]:
-    """Say beforehand that a simulation will be refused for its sample time."""
+    """Say beforehand that a simulation will be refused for its sample time, and which ones could be proved."""
     found = unstable_cell(controller, conditions)
-    return () if found is None else (f"{found[0]}; so it is not simulated",)
+    said = [] if found is None else [f"{found[0]}; so it is not simulated"]
+    for claim in controller.claims_of(SampledLoop):
+        if claim.longest is not None:
+            h = claim.gains.sample_time
+            but = f"{h:g} s are too long for a proof: " if claim.proof is None and claim.longest < h else ""
+            said.append(
+                f"{but}the longest sample time found at which the sampled loop is proved, with gains made for it, is "
+                f"{claim.longest:g} s"
+            )
+    return tuple(said)
 
 
 def check_sample_time(controller: ProvedController, conditions: Conditions) -> None:
@@ -80,7 +90,7 @@ def _all_die_out(maps: SampleMaps, h: float) -> int:
     controller, end = maps.controller, maps.controller.trajectory.exosystem.end
     if ticks > _MOST or (end is not None and ticks * h > end):
         return 0
-    sampling = replace(maps.sampling, sample_time=h)
+    sampling = replace(maps.sampling, sample_time=h, jitter=0.0)
     other = None if maps.plant is controller.plant else maps.plant
     loop = closed_loop(controller, Conditions(plant=other, sampling=sampling))
     at_rest = np.zeros(2 * len(controller.sizes.state))

@@ -368,7 +368,9 @@ def build_conditions(
     if section.quantum:
         quanta = Quanta(inputs=_vector(section.quantum, plant.inputs), outputs=_vector(section.quantum, plant.outputs))
     if (sampled := section.controller) is not None:
-        sampling = Sampling(sample_time=sampled.sample_time, method=sampled.method, delay=sampled.delay)
+        sampling = Sampling(
+            sample_time=sampled.period, method=sampled.method, delay=sampled.delay, jitter=sampled.jitter
+        )
     return Conditions(
         quanta=quanta,
         rates=_vector(section.rate_limit, plant.inputs, np.inf) if section.rate_limit else None,

@@ -62,12 +62,44 @@ class NoiseSection(Section):
     seed: Annotated[Whole, Field(ge=0), whole(0)] = 1
 
 
+class TicksSection(Section):
+    """A sample time (s), and by how much the time between two ticks may differ from it, either way."""
+
+    nominal: Positive
+    jitter: Positive
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where a tick could come before the one before."""
+        if self.jitter >= self.nominal:
+            text = f".jitter {self.jitter:g} s is not below the nominal sample time {self.nominal:g} s"
+            yield Fault(text, (), "5 % of it, for example", ("jitter",))
+
+
+def _ticks_kind(value: Any) -> str:
+    return "with jitter" if isinstance(value, dict) else "a time"
+
+
+SampleTime = Annotated[
+    Annotated[Positive, Tag("a time")] | Annotated[TicksSection, Tag("with jitter")], Discriminator(_ticks_kind)
+]
+
+
 class SampledSection(Section):
     """The controller as a program that runs once in a sample time (s), its output late by some samples."""
 
-    sample_time: Positive
+    sample_time: SampleTime
     method: Annotated[Method, _RENAMED] = "corrected"
     delay: Annotated[Whole, Field(ge=0, le=_MOST_LATE), whole(0, _MOST_LATE)] = 0
+
+    @property
+    def period(self) -> float:
+        """The nominal sample time, in s."""
+        return self.sample_time.nominal if isinstance(self.sample_time, TicksSection) else self.sample_time
+
+    @property
+    def jitter(self) -> float:
+        """By how much the time between two ticks may differ from that, in s."""
+        return self.sample_time.jitter if isinstance(self.sample_time, TicksSection) else 0.0
 
 
 class RadiiSection(Section):
@@ -143,9 +175,10 @@ class SimulationSection(Section):
         if step > duration:
             yield Fault(f"sample_time {step:g} s is longer than the duration {duration:g} s", ("sample_time",))
         counted: list[tuple[Subject, float, int, str]] = [((), step, _MOST_SAMPLES, "samples")]
-        for name, what in (("noise", "draws"), ("controller", "ticks")):
-            if (part := getattr(self, name)) is not None:
-                counted.append(((name,), part.sample_time, _MOST_TICKS, what))
+        if self.noise is not None:
+            counted.append((("noise",), self.noise.sample_time, _MOST_TICKS, "draws"))
+        if self.controller is not None:
+            counted.append((("controller",), self.controller.period, _MOST_TICKS, "ticks"))
         for at, period, most, what in counted:
             if duration / period > most:
                 hint = "" if at else "the sample time moves no event; a longer one only draws fewer points"

@@ -12,7 +12,10 @@ from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
 KEY = "sampled"
-SHAPE = (None, of(ROWS, "K M rows") | of(NUMBER, "sample_time rate") | {"substeps": WHOLE, "P": [PACKED]})
+SHAPE = (
+    None,
+    of(ROWS, "K M rows") | of(NUMBER, "sample_time jitter rate") | of(WHOLE, "substeps delay") | {"P": [PACKED]},
+)
 Form = tuple[Matrix, list[Fraction]]  # and about the roots of its diagonal
 
 
@@ -22,9 +25,10 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
         return [], []
     if whole["practical"] is not None:
         raise AuditFault("the sampled loop is proved of a plant without merged cells only")
-    h, rate, errors = number(content["sample_time"]), number(content["rate"]), AuditedErrors(content, loop)
-    if h <= 0 or rate <= 0 or content["substeps"] < 1:
-        raise AuditFault("the sample time, the rate or the number of substeps of the sampled loop is not positive")
+    h, rate = number(content["sample_time"]), number(content["rate"])
+    if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
+        raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
+    errors = AuditedErrors(content, loop)
     forms, parts = [packed(P) for P in content["P"]], content["substeps"] if errors.changes else 1
     knots, rest = divmod(len(forms), parts)
     if rest or knots < 2 or any(len(P) != errors.order for P, _ in forms):

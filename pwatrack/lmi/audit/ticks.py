@@ -2,27 +2,36 @@
 
 from fractions import Fraction
 from functools import cached_property, reduce
-from itertools import permutations
+from itertools import permutations, product
 from typing import Any
 
 from .balls import Ball, sides, stacked, unlike
 from .bounds import Loop
-from .matrices import AuditFault, identity, spend
-from .reading import matrix
+from .matrices import AuditFault, identity
+from .reading import matrix, number
+from .vertices import outermost, within
+
+MOST_LATE = 10  # samples: as late as inputs may be
+MOST_FLOWS = 100_000  # more would take days
 
 
 class AuditedErrors:
-    """What the errors (x - x_d, K (x_hat - x_d) at the tick, the observer's, rho) of a sampled loop obey.
+    """What the errors (x - x_d, nu, the observer's, rho) of a sampled loop obey.
 
-    Between ticks e' = A_i e + B nu - E sigma; the observer's error obeys A_j, and G rho in the rows of x, where G R is
-    how A of the cell in which a substep begins differs from that of any other; nu' = 0 and rho' = R (e' + Delta'). A
-    tick corrects the observer's error by M C, takes nu = K (e + Delta) anew, and rho = 0. Loads are constants.
+    The observer's are those of what was predicted for now from the last max(delay, 1) ticks, each with a rho. In the
+    time of the program e' is pace times d = A_i e + B nu - E sigma, pace the time between two ticks as a share of the
+    sample time; each observer's error obeys A_j, with G rho in the rows of x, where G R is how A of the cell in which a
+    substep begins differs from that of any other, and with (1 - pace) d; nu' = 0; rho' = R of how e and the observer's
+    error change. A tick corrects the last prediction by M C, the others get older, nu = K (e + Delta) anew for the
+    prediction that is delay ticks old, and rho = 0. Loads are constants, E = B U; with delay, nu has - U sigma of that
+    prediction, and d has no sigma.
     """
 
     def __init__(self, content: Any, loop: Loop) -> None:
         self.plant = plant = loop.plant
         square = loop.X is None or len(plant.tracked[0]) == len(plant.B[0][0])
-        if plant.loads is not None and (plant.at_inputs() and not square):
+        self.at = plant.at_inputs() if plant.loads is not None else []
+        if self.at and not square:
             raise AuditFault("loads do not only act at inputs, one for each tracked output")
         self.K, self.M, self.R = (Ball(matrix(content[name])) for name in ("K", "M", "rows"))
         self.n, self.m, self.N = len(plant.B[0]), len(plant.B[0][0]), len(plant.seen_A[0][0])
@@ -32,8 +41,13 @@ class AuditedErrors:
                 raise AuditFault(f"{name} of the sampled loop does not fit the plant")
         if len(self.R[0]) > self.n or any(len(row) != self.n for row in self.R[0]):
             raise AuditFault("the rows of the sampled loop do not fit the plant")
-        self.kept = self.n + self.m + self.N
-        self.order = self.kept + len(self.R[0])
+        if not 0 <= content["delay"] <= MOST_LATE:
+            raise AuditFault("the inputs of the sampled loop are too late")
+        self.late, share = content["delay"] > 0, number(content["jitter"]) / number(content["sample_time"])
+        self.paces = [1 - share, 1 + share] if share else [Fraction(1)]
+        self.predicted = max(1, content["delay"])
+        self.widths = [self.n, self.m, *[self.N] * self.predicted, *[len(self.R[0])] * self.predicted]
+        self.order, self.kept = sum(self.widths), sum(self.widths[: 2 + self.predicted])
         self.cells = outermost(plant.A)
         self.changes = outermost([one - other for one, other in permutations(self.cells, 2)])
         self.read = [self.gain(change) for change in self.changes]
@@ -55,20 +69,26 @@ class AuditedErrors:
 
     @cached_property
     def flows(self) -> list[Ball]:
-        """What they obey between ticks, for all cells of x, of x_hat and of its prediction."""
-        plant, q = self.plant, len(self.R[0])
-        shift = zero(self.n, self.N)
-        if plant.loads is not None:
-            shift = sides(zero(self.n, self.n), -plant.loads[0])
-        held, found = zero(self.m, self.order), list[Ball]()
-        for A_i in self.cells:
-            e = joined([A_i, plant.B, shift, zero(self.n, q)])
-            for A_j in self.seen:
-                for G in self.read or [zero(self.n, 0)]:
-                    pushed = stacked(G, zero(self.N - self.n, q)) if self.n < self.N else G
-                    Delta = joined([zero(self.N, self.n + self.m), A_j, pushed])
-                    moved = [self.R @ (e + top(Delta, self.n))] if q else []
-                    found.append(reduce(stacked, [e, held, Delta, *moved]))
+        """What they obey between ticks, for all cells of x, of each x_hat and of its prediction."""
+        d, held, found = self.predicted, zero(self.m, self.order), list[Ball]()
+        below = self.N - self.n
+        estimated = {}
+        if self.plant.loads is not None and not self.late:
+            estimated = {2: sides(zero(self.n, self.n), -self.plant.loads[0])}
+        of_each = list(product(self.seen, self.read or [zero(self.n, 0)]))
+        if len(self.paces) * len(self.cells) * len(of_each) ** d > MOST_FLOWS:
+            raise AuditFault("the flows of the sampled loop are too many")
+        for pace, A_i in product(self.paces, self.cells):
+            e = self.row(self.n, {0: A_i, 1: self.plant.B} | estimated)
+            late = (scaled(e, 1 - pace), zero(below, self.order))
+            for chosen in product(of_each, repeat=d):
+                Delta, rho = list[Ball](), list[Ball]()
+                for i, (A_j, G) in enumerate(chosen):
+                    pushed = stacked(G, zero(below, len(self.R[0]))) if below else G
+                    own = self.row(self.N, {2 + i: A_j, 2 + d + i: pushed})
+                    Delta.append(own + (stacked(*late) if below else late[0]))
+                    rho += [self.R @ (e + top(own, self.n))] if self.R[0] else []
+                found.append(reduce(stacked, [scaled(e, pace), held, *Delta, *rho]))
         return [F for _, F in unlike(found)]
 
     @property
@@ -83,12 +103,21 @@ class AuditedErrors:
     @cached_property
     def tick(self) -> Ball:
         """What a tick makes of them."""
-        n, m, N, q = self.n, self.m, self.N, len(self.R[0])
-        corrected = Ball(identity(N, 1)) + self.M @ self.plant.seen_C
-        e = sides(Ball(identity(n, 1)), zero(n, m + N + q))
-        held = joined([self.K, zero(m, m), self.K @ top(corrected, n), zero(m, q)])
-        Delta = joined([zero(N, n + m), corrected, zero(N, q)])
-        return reduce(stacked, [e, held, Delta, *([zero(q, self.order)] if q else [])])
+        d, eye = self.predicted, Ball(identity(self.N, 1))
+        corrected = eye + self.M @ self.plant.seen_C
+        U = Ball([[Fraction(-int(self.late and k == at)) for at in self.at] for k in range(self.m)])
+        acts = joined([self.K, U])
+        rows = [
+            self.row(self.n, {0: Ball(identity(self.n, 1))}),
+            self.row(self.m, {0: self.K, 1 + d: acts if self.late else acts @ corrected}),
+            self.row(self.N, {2: corrected}),
+            *(self.row(self.N, {1 + i: eye}) for i in range(1, d)),
+        ]
+        return reduce(stacked, [*rows, *([zero(self.order - self.kept, self.order)] if self.R[0] else [])])
+
+    def row(self, height: int, blocks: dict[int, Ball]) -> Ball:
+        """Return rows on them that are 0 but for some blocks."""
+        return joined([blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)])
 
     @cached_property
     def substep(self) -> Ball:
@@ -96,41 +125,15 @@ class AuditedErrors:
         return Ball([[Fraction(int(j == k < self.kept)) for k in range(self.order)] for j in range(self.order)])
 
 
-def outermost(matrices: list[Ball]) -> list[Ball]:
-    """Return different matrices without those between two others: the hull stays what it is."""
-    found = [ball for _, ball in unlike(matrices)]
-    if any(R for _, R in found):
-        return found
-    points = [[v for row in X for v in row] for X, _ in found]
-    return [ball for ball, point in zip(found, points, strict=True) if not between(point, points)]
-
-
-def between(point: list[Fraction], points: list[list[Fraction]]) -> bool:
-    """Say whether a point lies between two others: in opposite directions from it."""
-    seen = set[tuple[Fraction, ...]]()
-    for other in points:
-        spend(2 * len(point))
-        change = [v - w for v, w in zip(other, point, strict=True)]
-        size = next((abs(v) for v in change if v), None)
-        if size is None:
-            continue
-        direction = tuple(v / size for v in change)
-        if tuple(-v for v in direction) in seen:
-            return True
-        seen.add(direction)
-    return False
-
-
-def within(one: Ball, other: Ball) -> bool:
-    """Say whether all of one ball is in the other of the same centre."""
-    (X, R), (Y, S) = one, other
-    pairs = zip((v for row in R for v in row), (v for row in S for v in row), strict=True) if R and S else ()
-    return X == Y and (not R or bool(S)) and all(v <= w for v, w in pairs)
-
-
 def joined(balls: list[Ball]) -> Ball:
     """Return matrices side by side, but for those without columns."""
     return reduce(sides, [ball for ball in balls if ball.centre and ball.centre[0]])
+
+
+def scaled(ball: Ball, share: Fraction) -> Ball:
+    """Return a multiple of a matrix."""
+    X, R = ball
+    return Ball([[share * v for v in row] for row in X], [[abs(share) * v for v in row] for row in R])
 
 
 def top(ball: Ball, count: int) -> Ball:

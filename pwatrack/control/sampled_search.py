@@ -1,0 +1,112 @@
+"""Forms that prove a loop that is sampled, looked for with as many substeps and knots as it takes, within a budget."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.sampled_gains import SampledGains, sampled_gains
+from pwatrack.control.vertices import outermost_cells
+from pwatrack.lmi.bisection import bisected
+from pwatrack.lmi.clocked import ClockedProof, clocked_proof, fastest
+from pwatrack.lmi.exact import rounded_down
+from pwatrack.model.conditions import Sampling
+from pwatrack.model.pwa import PWASystem
+
+_TRIED = ((1, 1), (2, 1), (2, 2), (4, 2))  # times as many substeps, and segments of each: what is tried
+_OF_ONE = ((1, 1), (1, 2), (1, 4))  # the same of a prediction without substeps
+_MOST_WORK = 40_000  # inequalities times the square of their order: an auditor takes about 10 steps for each
+_MOST_OF_MANY = 13_000  # the same where many sample times are looked at: each takes half a second then
+_NEAR = 0.05  # of the longest sample time: how near to it one is looked for
+_DIGITS = 3  # of a sample time that is looked at
+_DOUBLINGS = 6  # of a sample time, or halvings, until one is found that is proved and one that is not
+_MOST_CELLS = 200  # of a hull, that are looked at one by one
+
+
+def too_much(plant: PWASystem, gains: SampledGains) -> str:
+    """Say why nothing is tried; "" where it is."""
+    if not (np.isfinite(gains.K).all() and np.isfinite(gains.M).all()):
+        return "its gains are out of range: a sample is too long"
+    if _least_work(plant, gains) > _MOST_WORK:
+        return "its cells are too many"
+    errors = SampledErrors.of(plant, gains)
+    if _work(errors) > _MOST_WORK:
+        return f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
+    return ""
+
+
+def with_forms(plant: PWASystem, gains: SampledGains) -> tuple[SampledGains, ClockedProof] | None:
+    """Return gains with as many substeps as a proof needs, and that proof; None where none is found."""
+    errors = SampledErrors.of(plant, gains)
+    for finer, knots in _tried(errors, _MOST_WORK):
+        proof = fastest(finer.clocked, knots=knots)
+        if proof is not None:
+            return finer.gains, proof
+    return None
+
+
+def longest(plant: PWASystem, K: Array, L: Array, near: SampledGains) -> float | None:
+    """Return the longest sample time (s) that is found, to 5 %, for which gains made of K and L for it are proved.
+
+    Args:
+        near: Gains whose sample time is looked at first; their delay and jitter are those of the others.
+    """
+
+    def at(h: float) -> tuple[float, None] | None:
+        h = rounded_down(h, _DIGITS)
+        if not h > near.jitter:
+            return None
+        gains = sampled_gains(plant, K, L, Sampling(sample_time=h, delay=near.delay, jitter=near.jitter))
+        if too_much(plant, gains):
+            return None
+        for errors, knots in _tried(SampledErrors.of(plant, gains), _MOST_OF_MANY)[-1:]:
+            if clocked_proof(errors.clocked, knots=knots) is not None:
+                return h, None
+        return None
+
+    def between(found: tuple[float, None], without: float) -> float:
+        return bisected(found, without, at, near=_NEAR, middle=lambda one, other: (one * other) ** 0.5)[0]
+
+    h, found = near.sample_time, at(near.sample_time)
+    factor = 0.5 if found is None else 2.0
+    for k in range(1, _DOUBLINGS + 1):
+        seen = at(h * factor**k)
+        if found is None and seen is not None:
+            return between(seen, h * factor ** (k - 1))
+        if found is not None and seen is None:
+            return between(found, h * factor**k)
+        found = seen
+    return None if found is None else found[0]
+
+
+def _tried(errors: SampledErrors, most: int) -> list[tuple[SampledErrors, int]]:
+    """Return errors with as many substeps as are tried, and the segments of each, as far as that is not too much."""
+    gains = errors.gains
+    finer = [
+        (replace(errors, gains=replace(gains, substeps=more * gains.substeps)), knots)
+        for more, knots in (_TRIED if gains.substeps > 1 else _OF_ONE)
+    ]
+    return [(one, knots) for one, knots in finer if _work(one) * knots <= most]
+
+
+def _work(errors: SampledErrors) -> int:
+    """Return how much one segment in each substep takes."""
+    return _inequalities(errors) * errors.order**2
+
+
+def _inequalities(errors: SampledErrors) -> int:
+    """Return how many there are between ticks, for one segment in each substep."""
+    of_each = len(errors.cells) * max(1, len(errors.changes))
+    return int(2 * errors.parts * len(errors.paces) * len(errors.cells) * of_each**errors.predicted)
+
+
+def _least_work(plant: PWASystem, gains: SampledGains) -> int:
+    """Return what inequalities times the square of their order are at least, without looking for changes.
+
+    There are as many of these as cells at least: a hull of differences has no fewer corners than the hull.
+    """
+    cells = len(plant.hull) if len(plant.hull) > _MOST_CELLS else len(outermost_cells(plant))
+    parts, predicted = gains.substeps if cells > 1 else 1, max(1, gains.delay)
+    order = sum(plant.B.shape) + predicted * (plant.observed.C.shape[1] + (cells > 1))
+    return int(2 * parts * cells ** (1 + 2 * predicted) * order**2)

@@ -1,0 +1,105 @@
+"""Inequalities in several symmetric matrices, each in few of them, as a linear map: by the form of their terms.
+
+The left-hand side of inequality j is Σ_k (L_jk P_k R_jk + R_jkᵀ P_k L_jkᵀ) + t T_j. With W_j of a step, the part of the
+normal equations for P_k and P_k' is that of `linear_map`: with X = R W L', X' = R' W L, V = R W R'ᵀ and U = L'ᵀ W L
+
+    2 Σ_j tr(P X P' X') + tr(P V P' U),
+
+one product for all inequalities that have both, and nothing for matrices that no inequality has together.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from pwatrack.arrays import Array, IntArray
+from pwatrack.lmi.blocks import Blocks
+from pwatrack.lmi.linear_map import LinearMap, Triangle
+
+Term = tuple[Array, Array]  # L and R
+
+
+class Part(NamedTuple):
+    """What some inequalities have of one matrix: which they are, and L and R of each, (c, n, n)."""
+
+    at: IntArray
+    L: Array
+    R: Array
+
+    def some(self, places: IntArray) -> "Part":
+        """Return that of some of them."""
+        return Part(self.at[places], self.L[places], self.R[places])
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Σ_k (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T ⪯ 0."""
+
+    terms: Mapping[int, Term]
+    T: Array
+
+
+class ChainMap(LinearMap):
+    """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, then t; tr P_0 = n."""
+
+    def __init__(self, bounds: Sequence[Bound], count: int) -> None:
+        n = len(bounds[0].T)
+        self.P, self.count, self.T = Triangle(n), count, np.array([bound.T for bound in bounds])
+        self.size = self.main = count * self.P.size + 1
+        self.cost = np.append(np.zeros(self.size - 1), -1.0)
+        self.blocks = Blocks([(len(bounds), n)])
+        self.constant = np.zeros(self.blocks.size)
+        self.rows, self.values = np.zeros((1, self.size)), np.array([float(n)])
+        self.rows[0, : self.P.size] = self.P.row(np.eye(n))
+        self.places = [slice(k * self.P.size, (k + 1) * self.P.size) for k in range(count)]
+        having = [[j for j, bound in enumerate(bounds) if k in bound.terms] for k in range(count)]
+        self.of = [
+            Part(np.array(at), *(np.array([bounds[j].terms[k][side] for j in at]) for side in (0, 1)))
+            for k, at in enumerate(having)
+        ]
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int, IntArray, IntArray]]:
+        """Matrices k ≥ k' that some inequalities have together, and where these stand in the parts of both."""
+        found = []
+        for k in range(self.count):
+            for other in range(k + 1):
+                _, one, two = np.intersect1d(self.of[k].at, self.of[other].at, return_indices=True)
+                if len(one):
+                    found.append((k, other, one, two))
+        return found
+
+    def matrices(self, v: Array) -> Array:
+        """Return the P_k of a vector."""
+        return np.array([self.P.matrix(v[place]) for place in self.places])
+
+    def apply(self, v: Array) -> Array:
+        """Return A(v): the left-hand sides."""
+        x = v[-1] * self.T
+        for P, (at, L, R) in zip(self.matrices(v), self.of, strict=True):
+            half = L @ P @ R
+            x[at] += half + half.transpose(0, 2, 1)
+        return np.asarray(x.ravel())
+
+    def adjoint(self, z: Array) -> Array:
+        """Return A*(Z): its product with v is Σ tr Z_j A_j(v)."""
+        (Z,) = self.blocks.stacks(z)
+        rows = [2 * self.P.row((R @ Z[at] @ L).sum(axis=0)) for at, L, R in self.of]
+        return np.concatenate([*rows, [np.vdot(Z, self.T)]])
+
+    def normal(self, w: Array, H: Array) -> None:
+        """Write the lower triangle of H with v'ᵀ H v = Σ tr A_j(v) W_j A_j(v') W_j."""
+        (W,) = self.blocks.stacks(w)
+        H[-1] = self.adjoint((W @ self.T @ W).ravel())
+        low = self.P.rows, self.P.columns
+        for k, other, one, two in self.pairs:
+            (at, L, R), (_, L_, R_) = self.of[k].some(one), self.of[other].some(two)
+            LW, RW = L.transpose(0, 2, 1) @ W[at], R @ W[at]
+            first = np.concatenate([RW @ L_, RW @ R_.transpose(0, 2, 1)])
+            second = np.concatenate([LW @ R_.transpose(0, 2, 1), LW @ L_])  # transposed: (a, d)
+            whole = np.tensordot(second, first, axes=([0], [0]))  # (a, d, b, c)
+            half = whole.transpose(0, 2, 1, 3)[low] + whole.transpose(2, 0, 1, 3)[low]
+            H[self.places[k], self.places[other]] = 2 * (half + half.transpose(0, 2, 1))[:, *low]
