@@ -145,7 +145,7 @@ class SampledLoop(Claim):
             at = "" if self.shorter is None else f", it is every {number_text(self.shorter)} s"
             yield "NOT proved", f"sampled every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
-            every, constant = number_text(self.gains.sample_time), up(1 / self.proof.rate)
+            every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
             yield "sampled", f"every {every} s, proved too: time constant {constant} s"
 
 
