@@ -142,7 +142,7 @@ class SampledLoop(Claim):
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether the sampling is in a proof, and how fast it is."""
         if self.proof is None:
-            at = "" if self.shorter is None else f", it is every {number_text(self.shorter)} s"
+            at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
             yield "NOT proved", f"sampled every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
             every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
