@@ -40,9 +40,11 @@ Plots = Annotated[
     typer.Option("--plots", help="Which runs have pictures: all, those that do not end as expected, none."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print also how long each step took.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Print all that is proved, and how long each step took.")
+]
 Outside = Annotated[bool, typer.Option("--allow-outside", help="Let specs refer to files outside of their folder.")]
-Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the summary.")]
+Json = Annotated[bool, typer.Option("--json", help="Print run.json instead of the first screen.")]
 Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDRESS", help="Let the workers of this dask scheduler do it."),
@@ -74,6 +76,9 @@ def main(
 def check(
     spec_path: SpecPath,
     parameters: Set = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print also facets, zero dynamics, and every route with its reason.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
     outside: Outside = False,
 ) -> None:
@@ -113,10 +118,16 @@ def check(
             from pwatrack.report.plant import check_json
 
             typer.echo(json.dumps(check_json(name, report, reference, sizes, refusal, remarks), indent=2))
-        elif report is not None:
+        elif report is not None and verbose:
             from pwatrack.report.plant import print_plant
 
             print_plant(console(), name, report, reference, sizes, remarks)
+        elif report is not None:
+            from pwatrack.report.check import check_screen
+            from pwatrack.report.screen import print_screen
+
+            known: dict[str, Any] = {"reference": reference, "sizes": sizes, "remarks": remarks}
+            print_screen(console(), check_screen(name, report, refused=refusal is not None, **known))
         if refusal is not None:
             raise refusal
 

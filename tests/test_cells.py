@@ -399,7 +399,7 @@ def test_check_shows_the_first_of_many_cells_and_json_has_all(tmp_path: Path) ->
     marks = list(range(24))
     slopes = [k % 3 for k in range(25)]
     wavy = f"{{name: w, kind: piecewise_linear, of: z, breakpoints: {marks}, slopes: {slopes}, into: {{v: -1}}}}"
-    text = run(tmp_path, wavy, "check").stdout
+    text = run(tmp_path, wavy, "check", "-v").stdout
     assert "25 cells; continuous across 24 facets" in " ".join(text.split())
     assert "… and 20 more cells (--json lists all)" in text
     assert "… and 19 more facets (--json lists all)" in text

@@ -16,15 +16,20 @@ from pwatrack.commands.verify import verify
 from pwatrack.control.applicability import applicability
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report import summary, terminal
+from pwatrack.report.check import can_be_designed, plant_rows
 from pwatrack.report.files import write_result
+from pwatrack.report.first_rows import first_rows
 from pwatrack.report.parameters import run_rows
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
+from pwatrack.workflow.cautions import assessed
 from pwatrack.workflow.pipeline import design
+from pwatrack.workflow.plant_cautions import plant_warnings
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
 from tests.test_cli import call
 from tests.test_outcome import ROD, RUNAWAY, cart
+from tests.test_screen import stage
 
 ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
 Row = tuple[bool, str, str]  # whether verify says it, label, sentence
@@ -91,6 +96,9 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
 
     monkeypatch.setattr(terminal, "Table", Recorded)
     console = Console(file=io.StringIO(), width=200)
+    for values in ({"sign": "1"}, {"d": "0"}):
+        odd = load_spec(stage(tmp_path), values).problem.plant
+        rows += [(False, "warning", text) for text in plant_warnings(odd)]
     for path in plants(specs, tmp_path):
         spec = load_spec(path)
         sizes, tracking = spec_sizes(spec), spec.problem.tracking
@@ -100,14 +108,22 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         except PwatrackError as error:
             reference = str(error)
         print_plant(console, spec.name, report, reference, sizes)
+        rows += [(False, label, text) for label, text in plant_rows(report, spec.name)]
+        rows += [(False, "check", can_be_designed(report, "", refused=refused)) for refused in (False, True)]
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
         checked = required(spec, controller, result)
-        summary.print_design(console, spec, controller, required(spec, controller))
-        summary.print_result(console, result, checked)
+        assessment = assessed(spec, controller)
+        summary.print_design(console, spec, controller, required(spec, controller), assessment=assessment)
+        summary.print_result(console, result, checked, assessment)
+        said = first_rows(spec, controller, assessment, checked=checked, result=result)
+        rows += [(False, label, text) for label, text in said]
         rows += [(False, "uncertain", said) for said in run_rows(replace(result, w=None))]  # as if that took too long
         if path.stem in ("state", "cart"):
-            summary.print_ensemble(console, ensemble(result, 3))
+            many = ensemble(result, 3)
+            summary.print_ensemble(console, many)
+            said = first_rows(spec, controller, assessment, result=result, many=many)
+            rows += [(False, label, text) for label, text in said]
         for sentence in verify(write_result(result, tmp_path / "run", plots="none"), path):
             label, _, rest = sentence.partition(": ")
             own = label.startswith(("(", "plant", "Theorem"))

@@ -211,7 +211,7 @@ def test_pages_for_newcomers_run_in_an_empty_folder(name: str, tmp_path: Path) -
     asked = [block for block in cells.blocks(text(DOCS / f"{name}.md")) if block.kind in ("run", "picture")]
     assert shown.count("{container} output") + len(page.made) == len(asked)
     if name == "tutorial/index":  # what its words say
-        assert "ends below 0.00633 rad" in shown
+        assert "≤ 0.00633 rad from every start" in shown
         assert "3 of 3 met" in shown
         assert "1000 steps, 0 wrong" in shown
 

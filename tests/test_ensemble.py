@@ -317,7 +317,7 @@ def test_the_command_writes_a_row_for_each_member_and_says_what_came_out(tmp_pat
 
 def test_a_default_region_is_said(tmp_path: Path, specs: Path) -> None:
     path = shortened(specs / "two_mass_paper_gains.yaml", tmp_path / "plant.yaml")
-    run = call("simulate", path, "--ensemble", 1, "--out", tmp_path / "out")
+    run = call("simulate", path, "-v", "--ensemble", 1, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
     assert "the spec has no simulation.ensemble.initial" in run.stdout
 

@@ -186,11 +186,14 @@ def test_a_loop_that_runs_away_ends_with_6_and_all_its_files(tmp_path: Path, con
     run = call("simulate", path, "--out", tmp_path / "out", pictures=True)
     assert run.exit_code == 6, run.output
     assert f"error: {path}: the error grows: |y − y_d| up to" in run.stderr
-    title, first, second, third, *_ = lines(run.stdout)
+    title, first, *_ = lines(run.stdout)
     assert title == "Cart"
+    assert re.match(r"simulated the error grows: \|y − y_d\| up to", first)
+    assert "NOT proved plant with k = 12" in " ".join(run.stdout.split())
+    _, first, second, third, *_ = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
     assert first.startswith("simulated 20 s: the error grows: |y − y_d| up to")
-    assert second.startswith("proofs are about the loop without: ")
-    assert third.startswith(("(8) controller", "sampled loop"))
+    said = [second, third]
+    assert any(one.startswith("proofs are about the loop without: ") for one in said)
     index = index_of(tmp_path / "out")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "grows")
     assert {"trace.csv", "certificate.json", "tracking_error.png"} < set(index["files"])
@@ -225,17 +228,20 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
     path = cart(tmp_path, limits, push, reference="0.08*sin(t)")
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
-    _, first, second, *_ = lines(run.stdout)
-    assert re.match(r"simulated 20 s: off: \|y − y_d\| up to \S+ m in the last tenth of the time", first)
-    assert second == "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt"
+    _, first, *_ = lines(run.stdout)
+    assert re.match(r"simulated 20 s, limits, disturbance: off, error \S+ m in the last tenth \(\S+ at worst\)$", first)
+    assert "NOT proved u limited to [-0.1, 0.1]" in lines(run.stdout)
+    said = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
+    assert "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt" in said
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "off"
 
 
 def test_a_good_run_says_so_in_a_line(tmp_path: Path) -> None:
     run = call("simulate", cart(tmp_path), "--out", tmp_path / "out")
-    _, first, second, *_ = lines(run.stdout)
-    assert re.match(r"simulated 20 s: tracks: \|y − y_d\| at most \S+ m in the last tenth of the time", first)
-    assert second.startswith("(8) controller")
+    _, first, second, third, *_ = lines(run.stdout)
+    assert re.match(r"simulated 20 s: tracks, error \S+ m in the last tenth \(\S+ at worst\)$", first)
+    assert re.match(r"warning a mode at 3.16 rad/s has damping 0:", second)  # the file has none
+    assert re.match(r"guarantee error to 0 from every start, time constant \S+ s \(Theorem 3\)", third)
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "tracks"
 
 
@@ -246,6 +252,7 @@ def test_a_loop_beyond_all_bounds_keeps_its_design(tmp_path: Path) -> None:
     index = index_of(tmp_path / "out")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "broken off")
     made = {"bounds.json", "gains.json", "certificate.json", "generator.json", "controller.json", "spec.txt"}
+    assert run.stdout.startswith("Cart\nwarning")
     assert {*index["files"]} == made
     assert "1e+100" in index["simulation"]["said"]
 
@@ -291,10 +298,11 @@ def test_a_desired_trajectory_that_grows_is_no_tracking(tmp_path: Path) -> None:
         assert run.exit_code == 6, run.output
         assert re.match(rf"error: {path}:\d+:\d+: x_d grows without bound, as far as can be seen: \|", run.stderr)
     assert index_of(tmp_path / "design")["verdict"] == "check failed"
-    _title, first, second, third, *_ = lines(run.stdout)
-    assert first.startswith("simulated 8 s: x_d grows without bound, as far as can be seen")
-    assert second == "proofs are about an x_d that is bounded and what was asked for; this one is not"
-    assert third.startswith("(8) controller")
+    _title, first, *_ = lines(run.stdout)
+    assert first.startswith("simulated x_d grows without bound, as far as can be seen")
+    assert "NOT proved that x_d is bounded and what was asked for: it is not" in lines(run.stdout)
+    said = lines((tmp_path / "simulate" / "summary.txt").read_text(encoding="utf-8"))
+    assert "proofs are about an x_d that is bounded and what was asked for; this one is not" in said
     index = index_of(tmp_path / "simulate")
     assert (index["verdict"], index["exit"], index["simulation"]["outcome"]) == ("proved", 6, "grows")
     assert {"trace.csv", "outputs.png"} < set(index["files"])

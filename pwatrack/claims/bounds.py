@@ -118,6 +118,15 @@ class SignalBounds(Claim):
         within = _shown(words, self.from_sizes(controller))
         yield "", f"from a start with all errors within their sizes, at all times {within}"
 
+    def under(self, controller: ProvedController, acting: Mapping[Channel, float]) -> dict[Form, float]:
+        """Return the most that each signal is in the end while disturbances and noises are no larger than these."""
+        each, total = {bounds.channel: bounds.sizes for bounds in self.acting}, dict[Form, float]()
+        for form in next((each[channel] for channel in acting), {}):
+            if all(form in each[channel] for channel in acting):
+                sizes = [each[channel][form] * size for channel, size in acting.items()]
+                total[form] = sum(sizes) * OVER_POWERS
+        return controller.with_left(total)
+
     def from_sizes(self, controller: ProvedController) -> dict[Form, float]:
         """Return the most that each signal is at any time from a start with all errors of x, x̂ and loads in sizes."""
         sizes = controller.sizes

@@ -23,6 +23,7 @@ from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, PLANT
 
+_LINE = 136  # letters of gains on the first screen, two lines: more are left to their file
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 
@@ -82,6 +83,33 @@ class Decay(Claim):
             theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
             yield from ((theorem, sentence) for sentence in sentences(words, controller))
         yield from _guarantee_rows(controller, practical=bool(practical))
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield the time constants that are proved, and the gains."""
+        promised, design, sizes = controller.guarantees, controller.design, controller.sizes
+        if not controller.claims_of(Practical):
+            played = [up(played.error) for played in controller.claims_of(StableInversion)]
+            ends = f"below {played[0]} {words.unit_of_tracked()}".rstrip() if played else "to 0"
+            bounded = "" if controller.trajectory.bounded else ", while x_d stays bounded"
+            theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
+            yield "guarantee", f"error {ends} from every start, {slowest(promised.rate)} ({theorem}){bounded}"
+        if promised.generator:
+            yield "guarantee", f"feedforward settles with {slowest(max(p.rate for p in promised.generator))}"
+        gains = f"K = {matrix_text(design.K)}, Lᵀ = {matrix_text(design.L.T)}"
+        if len(gains) > _LINE:
+            norm_K, norm_L = sizes.norms(design.K, design.L)
+            gains = f"‖K‖ = {norm_K:.4g}, ‖L‖ = {norm_L:.4g} 1/s in sizes; entries in gains.json"
+        yield "K, L", gains
+
+
+def slowest(rate: float) -> str:
+    """Return the time constant of a decay rate in s, rounded up.
+
+    Example:
+        >>> slowest(0.0694), slowest(200.0)
+        ('time constant 14.5 s', 'time constant 0.005 s')
+    """
+    return f"time constant {up(1 / rate)} s"
 
 
 def read_proofs(content: Mapping[str, Any]) -> list[AnyProof | Dichotomy]:

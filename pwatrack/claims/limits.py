@@ -199,6 +199,13 @@ class NoSaturation(Claim):
         if not self.promises:
             yield f"from which starts {never} could not be proved"
 
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield whether the start of the run keeps off all limits, where that is proved."""
+        left = self.room.left
+        for promise in self.promises:
+            if left is not None and promise.starts.kind == "run" and promise.scale(left) >= 1:
+                yield "input", "from this start never at a limit while nothing disturbs (proved)"
+
 
 def promises(
     controller: ProvedController,

@@ -163,6 +163,14 @@ class Practical(Claim):
             limits = ", ".join(words.limits(estimates[:_SHOWN]))
             yield "", f"the observer runs the merged cells too: {limits} in the end"
 
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield below what each tracked signal ends, and that no gain has it go to 0."""
+        tracked = controller.tracking
+        ends = words.limits((form, size) for form, size in self.final.items() if form[0] == tracked)
+        constant = up(1 / controller.guarantees.rate)
+        yield "guarantee", f"in the end {', '.join(ends)} from every start, time constant {constant} s"
+        yield "guarantee", f"exact tracking is refused, so {', '.join(_width_text(words, m) for m in self.merges)}"
+
 
 def least_merges(
     form: ScalarForm, sizes: Sizes, works: Callable[[Mapping[int, Simplification]], bool]

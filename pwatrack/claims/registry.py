@@ -83,3 +83,9 @@ def rows(words: Words, controller: ProvedController) -> Iterator[Row]:
     """Yield what a summary says of the claims of a controller."""
     for claim in controller.claims:
         yield from claim.rows(words, controller)
+
+
+def brief(words: Words, controller: ProvedController) -> Iterator[Row]:
+    """Yield what the first screen says of the claims of a controller."""
+    for claim in controller.claims:
+        yield from claim.brief(words, controller)

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text
+from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
 from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.claims.bounds import from_start, with_acting
@@ -104,6 +104,11 @@ class Robust(Claim):
         for bounds in self.bounds:
             _, on, unit = words.cause(bounds.channel, uncertain=True)
             yield "", f"{', '.join(words.limits(bounds.sizes.items()))} per {unit or '1'} of {on}"
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield for which plants it is proved, and how fast."""
+        box = ", ".join(interval.text for interval in self.box)
+        yield "guarantee", f"for all plants with {box}: time constant {up(1 / self.rate)} s"
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         if seen.w is None or seen.designed:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import Array, amount, number_text
+from pwatrack.arrays import Array, amount, number_text, up
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
@@ -138,6 +138,15 @@ class SampledLoop(Claim):
         gains, rate = self.gains, None if self.proof is None else self.rate
         found = {"sample_time": gains.sample_time, "substeps": gains.substeps, "rate": rate}
         return {"sampled": found | {"K": gains.K.tolist(), "M": gains.M.tolist()}}
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield whether the sampling is in a proof, and how fast it is."""
+        if self.proof is None:
+            at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
+            yield "NOT proved", f"sampled every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
+        else:
+            every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
+            yield "sampled", f"every {every} s, proved too: time constant {constant} s"
 
 
 def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:

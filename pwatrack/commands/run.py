@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from rich.console import Console
 from rich.status import Status
 
 from pwatrack.control.controller import ProvedController
@@ -23,13 +25,16 @@ from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import answers, asking
 from pwatrack.report import files, summary
 from pwatrack.report.files import Effort
+from pwatrack.report.first_rows import first_rows
 from pwatrack.report.parameters import how_far_texts, largest_text
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import INDEX, REFUSAL, Plots, read_index
+from pwatrack.report.screen import print_screen, screen
 from pwatrack.report.terminal import compiling, console
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
+from pwatrack.workflow.cautions import Assessment, assessed
 from pwatrack.workflow.how_far import HowFar, how_far
 from pwatrack.workflow.largest_box import LargestBox, largest_box
 from pwatrack.workflow.result import SimulatedLoop
@@ -71,32 +76,31 @@ def run(
         CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     made, many = _Made(path=path, parameters=assignments(parameters), outside=outside, stored=stored), None
-    screen = console(stderr=True)
-    with (
-        answers() as made.answered,
-        screen.status("Reading the spec") as status,
-        compiling(screen, meant=shown in ("summary", "more")),
-    ):
+    progress, meant = console(stderr=True), shown in ("summary", "more")
+    with answers() as made.answered, progress.status("Reading the spec") as status, compiling(progress, meant=meant):
         try:
             spec, controller = made.design(status, solver, growing=simulated, scaled=scaled)
             result = made.simulated(spec, controller, status) if simulated else None
             if result is not None and members:
                 with made.timed("ensemble"):
                     many = ensemble(result, **members, progress=_shown(status, members["count"]))
-            elif not simulated:
-                status.update("Finding the smallest gains at other rates")
-                with made.timed("pareto"):
-                    found = _fronts(spec, controller) if fronts else []
-            checked = required(spec, controller, result, many)
+            found = made.fronts(spec, controller, status) if fronts and not simulated else []
+            checked, assessment = required(spec, controller, result, many), assessed(spec, controller)
         except PwatrackError as refusal:
-            made.keep(refusal, folder, status, printed=shown != "nothing")
+            made.keep(refusal, folder, status, shown)
             raise
         status.update("Writing the files")
+        long = partial(_print_all, made, result, many, checked, assessment)
+        kept: Any = {"warnings": assessment.warnings, "effort": made.effort, "summary": summary.written(long)}
         if result is not None:
-            files.write_result(result, folder, many=many, effort=made.effort, plots=plots, executor=drawing)
+            files.write_result(result, folder, many=many, plots=plots, executor=drawing, **kept)
         else:
-            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, effort=made.effort)
-    made.tell(folder, result, many, checked, shown)
+            files.write_design(spec, controller, folder, fronts=found, largest=made.largest, **kept)
+    if shown == "summary":
+        came: dict[str, Any] = {"checked": checked, "result": result, "many": many, "largest": made.largest}
+        print_screen(console(), screen(spec.name, first_rows(spec, controller, assessment, **came), folder))
+    else:
+        made.tell(folder, long, shown)
     _check(spec, result, many, checked)
 
 
@@ -147,6 +151,11 @@ class _Made:
         with self.timed("simulate"):
             return pipeline.simulate(spec, controller, self.runs)
 
+    def fronts(self, spec: Spec, controller: ProvedController, status: Status) -> list[Front]:
+        status.update("Finding the smallest gains at other rates")
+        with self.timed("pareto"):
+            return _fronts(spec, controller)
+
     def _scaled(self, spec: Spec, controller: ProvedController) -> tuple[LargestBox, ProvedController]:
         """Return the largest box, and the design with the proof for the one of the spec."""
         box, subject = spec.objectives.uncertain, ("design", "uncertain")
@@ -165,32 +174,16 @@ class _Made:
         yield
         self.seconds[step] = round(time.perf_counter() - start, 4)
 
-    def tell(
-        self,
-        folder: Path,
-        result: SimulatedLoop | None,
-        many: EnsembleResult | None,
-        checked: Sequence[Checked],
-        shown: Shown,
-    ) -> None:
-        """Print what came out."""
-        if shown in ("nothing", "json"):
-            sys.stdout.write("" if shown == "nothing" else (folder / INDEX).read_text(encoding="utf-8"))
-            return
-        screen = console()
-        assert self.spec is not None
-        assert self.controller is not None
-        if result is not None:
-            summary.print_result(screen, result, checked)
-        else:
-            summary.print_design(screen, self.spec, self.controller, checked, self.largest)
-        if many:
-            summary.print_ensemble(screen, many)
-        summary.print_files(screen, folder)
-        if shown == "more":
-            screen.print(", ".join(f"{step} {seconds:.2f} s" for step, seconds in self.seconds.items()))
+    def tell(self, folder: Path, long: Callable[[Console], None], shown: Shown) -> None:
+        """Print run.json, or all that came out with where it is and how long it took; or nothing."""
+        if shown == "json":
+            sys.stdout.write((folder / INDEX).read_text(encoding="utf-8"))
+        elif shown == "more":
+            long(console())
+            summary.print_files(console(), folder)
+            console().print(", ".join(f"{step} {seconds:.2f} s" for step, seconds in self.seconds.items()))
 
-    def keep(self, refusal: PwatrackError, folder: Path, status: Status, *, printed: bool) -> None:
+    def keep(self, refusal: PwatrackError, folder: Path, status: Status, shown: Shown) -> None:
         """Write what came out before a refusal goes on its way, and note where. An invalid spec changes nothing."""
         spec, controller = self.spec, self.controller
         if refusal.code in (ExitCode.INVALID, ExitCode.BUG):
@@ -199,11 +192,15 @@ class _Made:
             return
         try:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
-                files.write_design(spec, controller, folder, broken=refusal, effort=self.effort)
+                assessment = assessed(spec, controller)
+                kept: dict[str, Any] = {"warnings": assessment.warnings, "effort": self.effort}
+                files.write_design(spec, controller, folder, broken=refusal, **kept)
+                if shown == "summary":
+                    print_screen(console(), screen(spec.name, first_rows(spec, controller, assessment)))
                 refusal.add_note(f"  the design is proved all the same: {folder!s}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
-            found = self._how_far(refusal, status) if printed or not expected else None
+            found = self._how_far(refusal, status) if shown != "nothing" or not expected else None
             for text in () if found is None else how_far_texts(found):
                 refusal.add_note(f"  how far: {text}")
             if files.write_refusal(
@@ -221,6 +218,25 @@ class _Made:
             said = "Looking how far away it is: "
             return how_far(self.spec, refusal.evidence, lambda what: status.update(said + what))
         return None
+
+
+def _print_all(
+    made: _Made,
+    result: SimulatedLoop | None,
+    many: EnsembleResult | None,
+    checked: Sequence[Checked],
+    assessment: Assessment,
+    printed: Console,
+) -> None:
+    """Print all that came out."""
+    assert made.spec is not None
+    assert made.controller is not None
+    if result is not None:
+        summary.print_result(printed, result, checked, assessment)
+    else:
+        summary.print_design(printed, made.spec, made.controller, checked, made.largest, assessment)
+    if many:
+        summary.print_ensemble(printed, many)
 
 
 def _check(spec: Spec, result: SimulatedLoop | None, many: EnsembleResult | None, checked: Sequence[Checked]) -> None:

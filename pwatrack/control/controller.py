@@ -96,6 +96,10 @@ class Claim(ABC):
         """Yield what a summary says of it."""
         yield from ()
 
+    def brief(self, words: Words, controller: "ProvedController") -> Iterator[Row]:
+        """Yield what the first screen says of it, in a line or less each, by the labels of `report.screen`."""
+        yield from ()
+
     def figures(self, words: Words, controller: "ProvedController") -> dict[str, Any]:
         """Return what run.json says of it, by keys of its own."""
         return {}

@@ -34,7 +34,7 @@ from pwatrack.report.figures import (
 from pwatrack.report.kept_spec import keep
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, Plots, RunFolder, run_folder
+from pwatrack.report.run_folder import REFUSAL, SUMMARY, Plots, RunFolder, run_folder
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
@@ -62,6 +62,8 @@ def write_design(
     largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
     effort: Effort = _NONE,
+    warnings: Sequence[str] | None = None,
+    summary: str | None = None,
 ) -> Path:
     """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
 
@@ -72,6 +74,8 @@ def write_design(
         fronts: What `pareto` returned for controller and observer.
         broken: Why a simulation of it broke off, if it did.
         effort: What it took, for run.json; what is proved while files are written is counted too.
+        warnings: Those of `workflow.cautions`, for run.json.
+        summary: What `report.summary` says of it, for summary.txt.
 
     Returns:
         The folder.
@@ -95,6 +99,7 @@ def write_design(
             _fronts(run, spec, fronts)
         index = _index(spec, effort) | proved_content(spec, controller)
         index |= {"remarks": design_remarks(spec, controller)} | _requirements(checked)
+        _summary(run, index, warnings, summary)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
@@ -109,6 +114,8 @@ def write_result(
     *,
     many: EnsembleResult | None = None,
     effort: Effort = _NONE,
+    warnings: Sequence[str] | None = None,
+    summary: str | None = None,
     plots: Plots = "all",
     executor: Executor | None = None,
 ) -> Path:
@@ -118,7 +125,7 @@ def write_result(
         result: What `simulate(spec)` returned.
         folder: As for `write_design`.
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
-        effort: As for `write_design`.
+        effort, warnings, summary: As for `write_design`.
         plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
         executor: Who draws them, but for ensemble.png, in other processes while tables are written.
 
@@ -146,8 +153,17 @@ def write_result(
             _ensemble(run, many, picture=wanted)
         for name, content in pictures().items():
             run.place(name).write_bytes(content)
+        _summary(run, index, warnings, summary)
         run.commit(index)
     return Path(folder)
+
+
+def _summary(run: RunFolder, index: dict[str, Any], warnings: Sequence[str] | None, summary: str | None) -> None:
+    """Add what is for people, where it is there."""
+    if warnings is not None:
+        index["warnings"] = list(warnings)
+    if summary is not None:
+        run.text(SUMMARY, summary)
 
 
 def _result_content(result: SimulatedLoop) -> dict[str, Any]:

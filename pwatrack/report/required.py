@@ -29,7 +29,8 @@ _ABSENT = {  # why a run has no such figure
 class Checked:
     """A requirement of a signal ('' where the figure is not one of a signal), and what came out, also in words.
 
-    `found` is the figure, of an ensemble that of its worst member; infinite for a time that never comes.
+    `found` is the figure, of an ensemble that of its worst member; infinite for a time that never comes. `short` is the
+    text for the first screen.
     """
 
     requirement: Requirement
@@ -37,6 +38,7 @@ class Checked:
     found: float
     met: bool
     text: str
+    short: str
 
     @property
     def content(self) -> dict[str, Any]:
@@ -120,11 +122,13 @@ def _checked(
     came += " at the samples, not known between them" * (worst in sampled)
     if asked.share is None:
         text, met = f"{label}: {came}, {best} {limit} required", kept == 1
+        short = f"{label} {came} ({best} {limit})"
     else:
         least = ceil(asked.share * len(values) * (1 - 1e-12))
         count = f"{kept:,} of {len(values):,} members, in {least:,} required"
         text, met = f"{label}: {best} {limit} in {count}; worst {came}, member {worst + 1}", kept >= least
-    return Checked(requirement=asked, signal=signal, found=values[worst], met=met, text=text)
+        short = f"{label} {came} at worst ({best} {limit})"
+    return Checked(requirement=asked, signal=signal, found=values[worst], met=met, text=text, short=short)
 
 
 def _unit(spec: Spec, controller: ProvedController, asked: Requirement, signal: str) -> str:

@@ -1,6 +1,7 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import titled
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow.cautions import Assessment
 from pwatrack.workflow.largest_box import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
@@ -41,13 +43,15 @@ def print_design(
     controller: ProvedController,
     checked: Sequence[Checked] = (),
     largest: LargestBox | None = None,
+    assessment: Assessment | None = None,
 ) -> None:
-    """Say what was proved and the gains; above all what was required and is not so."""
+    """Say what was proved and the gains; above all what was required and is not so, and what to beware of."""
     table = titled(spec.name)
-    _outcome_rows(table, checked)
+    _outcome_rows(table, checked, assessment)
     _add(table, rows(spec.words, controller))
     if largest is not None:
         table.add_row("largest box", largest_text(largest))
+    _margin_rows(table, controller, assessment)
     _add(table, (("remark", remark) for remark in design_remarks(spec, controller)))
     console.print(table)
 
@@ -57,20 +61,33 @@ def _add(table: Table, found: Iterable[tuple[str, str]]) -> None:
         table.add_row(*row)
 
 
-def _outcome_rows(table: Table, checked: Sequence[Checked], simulated: str = "") -> None:
-    """Say what is missed, how a simulation went, and what is met."""
+def _outcome_rows(table: Table, checked: Sequence[Checked], assessment: Assessment | None, simulated: str = "") -> None:
+    """Say what is missed, how a simulation went, what to beware of, and what is met."""
     _add(table, (("missed", each.text) for each in checked if not each.met))
     if simulated:
         table.add_row("simulated", simulated)
+    _add(table, (("warning", text) for text in (() if assessment is None else assessment.warnings)))
     if met := [each.text for each in checked if each.met]:
         table.add_row("required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}")
 
 
-def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Checked] = ()) -> None:
+def _margin_rows(table: Table, controller: ProvedController, assessment: Assessment | None) -> None:
+    """Say the margins of each cell by itself."""
+    plant = controller.plant
+    for one in () if assessment is None else assessment.margins:
+        low, high = (number_text(v, ".3g") for v in one.gain)
+        said = f"{plant.inputs[one.input]} in cell '{plant.cell_names[one.cell]}' by itself: stable with its gain "
+        said += f"times {low} to {high}, phase {np.degrees(one.phase):.3g}°, delay {one.delay:.3g} s, gain 1 up to "
+        table.add_row("margins", f"{said}{one.crossover:.3g} rad/s")
+
+
+def print_result(
+    console: Console, result: SimulatedLoop, checked: Sequence[Checked] = (), assessment: Assessment | None = None
+) -> None:
     """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
     figures = measures(result)
     table = titled(result.spec.name)
-    _outcome_rows(table, checked, f"{result.end:g} s: {result.outcome.text}")
+    _outcome_rows(table, checked, assessment, f"{result.end:g} s: {result.outcome.text}")
     if conditions := result.loop.beyond_the_proofs:
         sampled = any(claim.proof is not None for claim in result.controller.claims_of(SampledLoop))
         but = "; of these, the sampling is in the proof of the sampled loop" * sampled
@@ -78,6 +95,7 @@ def print_result(console: Console, result: SimulatedLoop, checked: Sequence[Chec
     if result.controller.trajectory.growth is not None:
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _add(table, rows(result.spec.words, result.controller))
+    _margin_rows(table, result.controller, assessment)
     for name, figure in load_content(result).items():
         unit = figure["unit"]
         size, estimate = (f"{number_text(figure[what], '.6g')} {unit}".rstrip() for what in ("load", "estimate"))
@@ -136,6 +154,13 @@ def _repair_rows(table: Table, result: SimulatedLoop) -> None:
             total = float(sum(bounds[k].sizes[signal] * acting[k] for k, _, _ in on)) * (1 + 1e-12)
             size = f"{up(total)} {unit}".rstrip()
             table.add_row("", f"which adds at most {size} to {sized(name)} in the end")
+
+
+def written(printing: Callable[[Console], None]) -> str:
+    """Return what is printed, as a text of 100 columns."""
+    file = StringIO()
+    printing(Console(file=file, width=100, highlight=False, markup=False, emoji=False, color_system=None))
+    return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
 
 
 def print_ensemble(console: Console, many: EnsembleResult) -> None:

@@ -89,9 +89,9 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def limits(result: SimulatedLoop, figure: str, signal: str | None = None) -> list[float]:
-    """Return the limits of a figure of the run, or of one of its signals."""
-    asked = (wish for wish in result.spec.requirements if wish.figure == figure and wish.share is None)
+def limits(result: SimulatedLoop, figure: str, signal: str | None = None, *, members: bool = False) -> list[float]:
+    """Return the limits of a figure of the run, or of one of its signals; or those of members of an ensemble."""
+    asked = (wish for wish in result.spec.requirements if wish.figure == figure and (wish.share is not None) == members)
     return [wish.limit for wish in asked if wish.signal in (None, signal)]
 
 

@@ -116,7 +116,7 @@ def _over_time(
     ends: bool = False,
 ) -> Figure:
     """Draw curves of signals below each other; of one alone, where it is long and `ends` are asked for, both ends."""
-    t, units, period = result.response.t, result.spec.problem.units, result.controller.trajectory.exosystem.period
+    t, period = result.response.t, result.controller.trajectory.exosystem.period
     end = min(float(t[-1]), 5 * period if period else float(t[-1]) / 10)  # five periods of the reference, or a tenth
     enlarged = ends and len(names) == 1 and end < _ENLARGED * (t[-1] - t[0])
     if enlarged:
@@ -138,7 +138,10 @@ def _over_time(
         constant = lines(axes, signal)
         below = "time t (s)" if enlarged or axes is panels[-1] else ""
         label(axes, below, _labelled(result, names[signal]), (first, last))
-        _zoom(axes, t[shown], drawn, constant, units.get(names[signal], ""), whole=signal < k)
+        styled = [(values, style) for values, (_, _, style) in zip(drawn, curves, strict=True)]
+        inset = _zoom(axes, t[shown], styled, constant, whole=signal < k)
+        if inset is not None:
+            lines(inset, signal)
     legend(panels[0], columns=5)
     return figure
 
@@ -149,33 +152,43 @@ def _column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list
     return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
 
 
-def _zoom(axes: Axes, t: Array, curves: Sequence[Array], lines: Sequence[float], unit: str, *, whole: bool) -> None:
-    """Show curves (K,) whole, but for a spike at the start that would squash the rest: that is told in words.
+def _zoom(
+    axes: Axes, t: Array, curves: Sequence[tuple[Array, dict[str, Any]]], lines: Sequence[float], *, whole: bool
+) -> Axes | None:
+    """Show curves (K,); where a spike at the start squashes the rest, that has an inset, which is returned.
 
     Lines at constant values are shown where they do not squash it either; so are bands, up to the edge.
     """
-    values = np.array(curves)
+    values = np.array([curve for curve, _ in curves])
     low, high = float(values.min()), float(values.max())
-    size, rest = max(abs(low), abs(high)), values[:, t >= t[0] + _EARLY * (t[-1] - t[0])]
+    size, late = max(abs(low), abs(high)), t >= t[0] + _EARLY * (t[-1] - t[0])
+    rest = values[:, late]
     least, most = float(rest.min(initial=high)), float(rest.max(initial=low))
-    spikes = not whole and high - low > _SPIKE * (most - least) > _SPIKE * _STILL * size
-    low, high = (least, most) if spikes else (low, high)
+    _show(axes, low, high, size, lines)
+    if whole or not high - low > _SPIKE * (most - least) > _SPIKE * _STILL * size:
+        return None
+    below = (least + most) / 2 > (low + high) / 2  # the rest is in the upper half
+    inset: Axes = axes.inset_axes((0.45, 0.12 if below else 0.45, 0.5, 0.43))
+    for curve, style in curves:
+        inset.plot(t[late], curve[late], **style)
+    inset.set_xlim(t[late][0], t[-1])
+    inset.tick_params(labelsize=6)
+    inset.set_title("without the start", fontsize=7, pad=2)
+    _show(inset, least, most, size, lines)
+    return inset
+
+
+def _show(axes: Axes, low: float, high: float, size: float, lines: Sequence[float]) -> None:
+    """Let an axis show from low to high, with lines that do not squash that; rounding of a size is not magnified."""
     room = high - low or max(abs(low), abs(high)) or 1.0
     for line in lines:
         if low - room < line < high + room:
             low, high = min(low, line), max(high, line)
     margin = _ROOM * (high - low or max(abs(low), abs(high)) or 1.0)
-    axes.set_ylim(low - margin, high + margin)
-    if spikes:
-        away = values - (least + most) / 2
-        curve, k = np.unravel_index(int(np.abs(away).argmax()), away.shape)
-        arrow = "↑" if away[curve, k] > 0 else "↓"
-        said = f"{arrow} {values[curve, k]:.3g} {unit}".rstrip() + f" at t = {t[k]:.3g} s"
-        axes.set_title(said, loc="left", fontsize=8)
-    low, high = axes.get_ylim()
-    if high - low < _FLAT * size:  # rounding is not magnified
-        middle = (low + high) / 2
-        axes.set_ylim(middle - _FLAT / 2 * size, middle + _FLAT / 2 * size)
+    low, high = low - margin, high + margin
+    if high - low < _FLAT * size:
+        low, high = (low + high - _FLAT * size) / 2, (low + high + _FLAT * size) / 2
+    axes.set_ylim(low, high)
     axes.ticklabel_format(axis="y", useOffset=False)
 
 

@@ -14,7 +14,19 @@ from matplotlib.figure import Figure
 from pwatrack.arrays import Array
 from pwatrack.control.pareto import Front
 from pwatrack.report.figures import error_unit
-from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, ROUNDING, WIDTH, WORST, canvas, label, legend, plain
+from pwatrack.report.plots.canvas import (
+    ACTUAL,
+    COLUMNS,
+    REQUIRED,
+    ROUNDING,
+    WIDTH,
+    WORST,
+    canvas,
+    label,
+    legend,
+    limits,
+    plain,
+)
 from pwatrack.workflow.variation import EnsembleResult
 
 _STYLES = ("-", "--", "-.", ":")  # told apart without colour too
@@ -62,7 +74,10 @@ def fan(many: EnsembleResult) -> Figure:
         axes.fill_between(t, quarter, three_quarters, color="0.6", linewidth=0, label="50 %")
         axes.plot(t, middle, label="median", **ACTUAL)
         axes.plot(t, error[member], label=f"{name}: member {member + 1}", **WORST)
-        legend(axes, columns=4)
+        for wish, when in (("final_error", " in the last tenth"), ("largest_error", "")):
+            for limit in limits(result, wish, members=True):
+                axes.axhline(limit, label=f"required{when}", **REQUIRED)
+        legend(axes, columns=3)
         label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), t)
         bottom = float(low.min()) / 3
     linear.set_ylim(bottom=0)

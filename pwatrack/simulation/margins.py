@@ -1,0 +1,140 @@
+"""How far the loop of a cell by itself is from where it is not stable: gain, phase and delay at an input of the plant.
+
+They are read off the loop transfer in floating point, and are about one cell that is never left: no proof of switching.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pwatrack.arrays import Array
+from pwatrack.control.controller import ProvedController
+from pwatrack.simulation.closed_loop import closed_loop
+from pwatrack.simulation.modes import NOTHING
+
+_POINTS = 400  # of a grid of frequencies, beside those around each mode
+_BEYOND = 100.0  # times the fastest mode and below the slowest it goes
+_AROUND = np.linspace(-5.0, 5.0, 11)  # half widths of a resonance that are looked at
+_BESIDE = 1 + 1e-7  # at a mode that is not damped there is no L(jω)
+_ROUNDS = 40  # of halving the interval of a crossing
+_MOST_WORK = 3_000_000_000  # cells · inputs · frequencies · order³: a few seconds
+
+Frequencies = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Margins:
+    """What the loop of one cell may be changed by at one input before it is not stable.
+
+    Attributes:
+        cell, input: Which.
+        gain: Between which factors the input may be scaled; from 0, to infinity, where nothing ends it.
+        phase: By how much it may be turned to either side, in rad; π where the gain is 1 at no frequency.
+        delay: By how much it may be late, in s; infinite likewise.
+        crossover: The highest frequency at which the gain is 1, in rad/s; 0 where there is none.
+    """
+
+    cell: int
+    input: int
+    gain: tuple[float, float]
+    phase: float
+    delay: float
+    crossover: float
+
+
+def loop_margins(controller: ProvedController) -> list[Margins]:
+    """Return the margins of each different cell of the plant of a design at each input; nothing where that takes long.
+
+    The loop is broken at one input of the plant, behind observer and K; the observer knows what was to be put out.
+
+    Example: u = −2 x̂ for x' = u, and an observer that is never wrong as it knows u: the loop is 2/s.
+
+        >>> from pwatrack import design, load_spec
+        >>> found = loop_margins(design(load_spec("specs/two_mass_paper_gains.yaml")))
+        >>> len(found), all(one.gain[0] < 1 < one.gain[1] and one.phase > 0 < one.delay for one in found)
+        (2, True)
+    """
+    plant = replace(controller.plant, watched=None)
+    loop = closed_loop(replace(controller, plant=plant, running=plant))
+    at, flow = loop.at, loop.flow
+    keep = np.r_[at.x, at.x_hat, at.s_hat, at.eta_hat]
+    counted = np.zeros((at.order, at.order)) if flow.counted is None else flow.counted
+    drive = np.zeros((at.order, plant.B.shape[1]))
+    drive[at.x] = plant.B
+    drive = (drive - counted @ drive)[keep]
+    cells = {flow.matrix((i,) * 3)[np.ix_(keep, keep)].tobytes(): i for i in reversed(range(len(plant.A)))}
+    if len(cells) * plant.B.shape[1] * (_POINTS + len(_AROUND) * len(keep)) * len(keep) ** 3 > _MOST_WORK:
+        return []
+    found = list[Margins]()
+    for cell in sorted(cells.values()):
+        M, rows = flow.matrix((cell,) * 3)[np.ix_(keep, keep)], flow.rows(loop.u[cell])[:, keep]
+        for k in range(plant.B.shape[1]):
+            if drive[:, k].any() and rows[k].any():
+                found.append(_margins(M, drive[:, k], rows[k], cell, k))
+    return found
+
+
+def worst(found: Sequence[Margins]) -> Margins | None:
+    """Return the least of all margins at any input, with the cell of the least phase; None where there are none."""
+    if not found:
+        return None
+    least = min(found, key=lambda one: one.phase)
+    return replace(
+        least,
+        gain=(max(one.gain[0] for one in found), min(one.gain[1] for one in found)),
+        delay=min(one.delay for one in found),
+        crossover=max(one.crossover for one in found),
+    )
+
+
+def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
+    """Return the margins of ż = M z, in which g row z is what passes the input: stable as 1 − L(jω) turns about 0."""
+    opened = M - np.outer(g, row)
+
+    def transfer(frequencies: Frequencies) -> NDArray[np.complex128]:
+        shifted = 1j * frequencies[:, None, None] * np.eye(len(M)) - opened
+        return np.asarray(np.linalg.solve(shifted, g[:, None].astype(complex))[..., 0] @ row)
+
+    grid = _grid(np.concatenate([np.linalg.eigvals(M), np.linalg.eigvals(opened)]))
+    passing = _crossings(transfer, grid, lambda L: np.log(np.abs(L) + np.finfo(float).tiny))
+    angles = np.angle(transfer(passing)) if len(passing) else np.zeros(0)
+    turned = transfer(_crossings(transfer, grid, lambda L: L.imag))
+    ends = transfer(grid[:1])  # towards 0 it is real
+    factors = [1 / L.real for L in (*turned, *ends[np.abs(ends.imag) <= 0.1 * np.abs(ends.real)]) if L.real > 0]
+    low, high = max((f for f in factors if f < 1), default=0.0), min((f for f in factors if f > 1), default=np.inf)
+    return Margins(
+        cell=cell,
+        input=k,
+        gain=(float(low), float(high)),
+        phase=float(np.abs(angles).min(initial=np.pi)),
+        delay=float(np.min(np.mod(angles, 2 * np.pi) / passing, initial=np.inf)),
+        crossover=float(passing.max(initial=0.0)),
+    )
+
+
+def _grid(values: NDArray[np.complex128]) -> Frequencies:
+    """Return frequencies at which all that a loop with these eigenvalues does is seen, in rad/s."""
+    sizes = np.abs(values)
+    sizes = sizes[sizes > NOTHING * sizes.max(initial=0.0)]
+    low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
+    near = (np.abs(values.imag)[:, None] + np.abs(values.real)[:, None] * _AROUND).ravel()
+    grid = np.concatenate([np.geomspace(low / _BEYOND, high * _BEYOND, _POINTS), near * _BESIDE])
+    return np.unique(grid[grid >= low / _BEYOND])
+
+
+def _crossings(
+    transfer: Callable[[Frequencies], NDArray[np.complex128]],
+    grid: Frequencies,
+    of: Callable[[NDArray[np.complex128]], Array],
+) -> Frequencies:
+    """Return where a function of L(jω) changes its sign between points of a grid, in rad/s."""
+    signs = of(transfer(grid)) > 0
+    at = np.flatnonzero(signs[1:] != signs[:-1])
+    low, high = grid[at], grid[at + 1]
+    for _ in range(_ROUNDS if len(at) else 0):
+        middle = np.sqrt(low * high)
+        below = (of(transfer(middle)) > 0) == signs[at]
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(np.sqrt(low * high))

@@ -1,0 +1,184 @@
+"""What an engineer would be warned of before this design goes to its machine: each with its figure, and a way out.
+
+It changes no verdict. What is proved says so; margins and modes are of each cell by itself, in floating point.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwatrack.arrays import number_text, up
+from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.limits import NoSaturation
+from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.control.bounds import Channel, Form
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.sampled_gains import sampled_gains
+from pwatrack.control.words import Words, sized
+from pwatrack.simulation.margins import Margins, loop_margins, worst
+from pwatrack.spec.spec import Spec
+from pwatrack.workflow.bands import declared
+from pwatrack.workflow.plant_cautions import plant_warnings
+from pwatrack.workflow.sizing import reference_sizes
+
+_HALF = 0.5  # of the reference: an error of this size is no tracking
+_SINGLE = 2.0**-24  # of a number: what storing it in single precision may change
+_NEAR = 0.05  # of the range of an input: what rests nearer to a limit has no room there
+_TENTH = 0.1  # of the sampling frequency: what a loop is usually slower than
+_LITTLE_PHASE = np.pi / 6  # rad: half of what is usually asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assessment:
+    """What the proofs mean with what the file declares.
+
+    Attributes:
+        acting: How large noises and disturbances count.
+        ends: The most that each signal is in the end under these: in the sampled loop where that is proved, else in the
+            loop as designed. Nothing where none acts.
+        condition: Of which loop and for what, in words.
+        margins: Of each cell by itself; none where to look for them would take long.
+        warnings: In the order of their weight.
+    """
+
+    acting: Mapping[Channel, float]
+    ends: Mapping[Form, float]
+    condition: str
+    margins: Sequence[Margins]
+    warnings: tuple[str, ...]
+
+
+def assessed(spec: Spec, controller: ProvedController) -> Assessment:
+    """Say what a design means for its machine.
+
+    Example: a wheel that is measured with a noise of up to 3 rad/s is to turn at 1 rad/s.
+
+        >>> from pwatrack import design, load_spec
+        >>> spec = load_spec("specs/two_mass_backlash.yaml")
+        >>> assessed(spec, design(spec)).ends
+        {}
+    """
+    acting, claims = declared(spec, controller), controller.claims_of(SignalBounds)
+    ends = claims[0].under(controller, acting) if acting and claims else {}
+    condition = f"as designed, while {acting_text(spec.words, acting)}"
+    for sampled in (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds)):
+        if sampled:
+            ends, condition = sampled, "as sampled, with all that acts in this run"
+    every = loop_margins(controller)
+    margins = worst(every)
+    warnings = [
+        *_disturbed(spec, controller, acting, ends),
+        *plant_warnings(spec.problem.plant),
+        *_near_limits(spec, controller),
+        *_sampling(spec, controller, margins),
+    ]
+    if margins is not None and margins.phase < _LITTLE_PHASE:
+        where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
+        warnings.append(f"phase margin {np.degrees(margins.phase):.2g}° {where}: ask for a slower K, or a faster L")
+    return Assessment(acting=acting, ends=ends, condition=condition, margins=every, warnings=tuple(warnings))
+
+
+def _disturbed(
+    spec: Spec, controller: ProvedController, acting: Mapping[Channel, float], ends: Mapping[Form, float]
+) -> Iterator[str]:
+    """Yield where what is proved under noise and disturbances of the file is more than is required, or half of y_d."""
+    references = reference_sizes(spec, controller)
+    for k, name in enumerate(controller.error_names):
+        bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
+        limits = [
+            wish.limit
+            for wish in spec.requirements
+            if (wish.figure == "final_errors" and wish.signal in (None, name))
+            or (wish.figure == "final_error" and len(controller.error_names) == 1 and wish.share is None)
+        ]
+        most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
+        if bound is not None and bound > most > 0:
+            yield (
+                f"{sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                + f" is all that is proved for what acts, {bound / most:.2g} × {most:.3g} {unit}".rstrip()
+                + f" ({what}): {_calmer(acting)}"
+            )
+
+
+def _calmer(acting: Mapping[Channel, float]) -> str:
+    kinds = {kind for kind, _ in acting}
+    return "slow the observer down" if "noise" in kinds else "ask for a faster K, or estimate the load"
+
+
+def acting_text(words: Words, acting: Mapping[Channel, float]) -> str:
+    """Say what acts, and how large it counts.
+
+    Example:
+        >>> from pwatrack import load_spec
+        >>> acting_text(load_spec("specs/two_mass_backlash.yaml").words, {("noise", 0): 3e-4})
+        'measured y off by up to 0.0003'
+    """
+    said = []
+    for channel, size in acting.items():
+        kind, on, unit = words.cause(channel)
+        amount = f"{up(size)} {unit}".rstrip()
+        said.append(f"{on} off by up to {amount}" if kind == "noise" else f"up to {amount} on {on}")
+    return ", ".join(said)
+
+
+def _near_limits(spec: Spec, controller: ProvedController) -> Iterator[str]:
+    """Yield which inputs rest near a limit, and which begin beyond one."""
+    plant = spec.problem.plant
+    for room in (claim.room for claim in controller.claims_of(NoSaturation)):
+        for k, name in enumerate(plant.inputs):
+            low, high = room.limits[k].tolist()
+            unit, ends = spec.problem.units.get(name, ""), [v for v in (low, high) if np.isfinite(v)]
+            if room.lasting is None or not ends:
+                continue
+            span = (high - low if len(ends) == 2 else abs(ends[0])) or 1.0
+            lower, upper = float(room.lasting.low[k]), float(room.lasting.high[k])
+            left, rests, limit = min((lower - low, lower, low), (high - upper, upper, high))
+            if left < _NEAR * span:
+                yield (
+                    f"{name} comes to {number_text(round(rests / span, 6) * span, '.4g')} {unit}".rstrip()
+                    + f" by its feedforward alone, its limit is {number_text(limit, '.4g')}: "
+                    f"{100 * max(left, 0.0) / span:.1f} % of its range is left; let reference or limit leave more"
+                )
+            if room.peak is not None and (beyond := [s for i, s in room.peak.beyond(room.limits) if i == k]):
+                first = float((room.peak.low[k], room.peak.high[k])[beyond[0]])
+                yield (
+                    f"the feedforward of {name} begins with {number_text(first, '.4g')} {unit}".rstrip()
+                    + f", limit {number_text((low, high)[beyond[0]], '.4g')}: start it with 'generator: steady'"
+                )
+
+
+def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None) -> Iterator[str]:
+    """Yield what sampling and single precision make of the gains, where that is not in a proof."""
+    sampling, promised = spec.scenario.conditions.sampling, controller.guarantees
+    quadratic = not any(part.degree > 2 for part in (*promised.controller, *promised.observer))
+    of_gains = dict(zip("KL", promised.robust[1:], strict=True))
+    for letter, share in of_gains.items():
+        if quadratic and share < _SINGLE and getattr(controller, letter).any():
+            yield (
+                f"{letter} may change by {100 * share:.2g} % only, and single precision changes it by "
+                f"{100 * _SINGLE:.1g} %: ask for a slower rate, or give sizes"
+            )
+    if sampling is None or any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
+        return
+    h, K = sampling.sample_time, controller.K
+    made = sampled_gains(controller.plant, K, controller.L, sampling).K
+    change = float(np.abs(made - K).max() / np.abs(K).max()) if K.any() and np.isfinite(made).all() else 0.0
+    if quadratic and change > of_gains["K"]:
+        yield (
+            f"sampled every {number_text(h)} s K acts as if changed by {100 * change:.2g} %, proved for "
+            f"{100 * of_gains['K']:.2g} %: sample every {h * of_gains['K'] / change:.1g} s, or ask for a slower K"
+        )
+    if margins is None:
+        return
+    if margins.crossover * h > _TENTH * 2 * np.pi:
+        yield (
+            f"bandwidth {margins.crossover:.3g} rad/s, sampling {2 * np.pi / h:.3g} rad/s: sample every "
+            f"{_TENTH * 2 * np.pi / margins.crossover:.1g} s, or ask for a slower rate"
+        )
+    elif margins.delay < (late := (0.5 + sampling.delay) * h):
+        yield (
+            f"sampling every {number_text(h)} s is late by {late:.2g} s, and {margins.delay:.2g} s is the delay margin "
+            f"in cell '{controller.plant.cell_names[margins.cell]}': sample faster"
+        )

@@ -1,0 +1,166 @@
+"""The first screen: ten lines of 80 columns that say what matters, and what an engineer would be warned of."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import design, load_spec
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
+from pwatrack.workflow.bands import declared
+from pwatrack.workflow.cautions import assessed
+from pwatrack.workflow.plant_cautions import plant_warnings
+from tests.test_cli import call
+
+STAGE = """
+name: Stage
+parameters: {{m: 2, d: 0.5, k: 100, sign: -1}}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  units: {{z: m, v: m/s, u: N, y: m}}
+  A: [[0, 1], [0, -d/m]]
+  B: [[0], [1/m]]
+  C: [[1, 0]]
+  nonlinearities:
+    - name: bed
+      kind: piecewise_linear
+      of: z
+      breakpoints: [-0.1, 0.1]
+      slopes: [2*k, k, 2*k]
+      value: -0.1*k
+      into: {{v: sign/m}}
+reference: {{output: {output}}}
+simulation:
+  duration: 4
+  sample_time: 0.01
+{more}
+"""
+
+
+def stage(tmp_path: Path, *, output: str = "0.05*sin(2*t)", more: str = "") -> Path:
+    path = tmp_path / "stage.yaml"
+    path.write_text(STAGE.format(output=output, more=more), encoding="utf-8")
+    return path
+
+
+def small(lines: list[str]) -> bool:
+    return len(lines) <= LINES and all(len(line) <= COLUMNS for line in lines)
+
+
+MUCH = """  actuator: {limits: {u: [-90, 90]}}
+  noise: {std: {y: 0.02}, sample_time: 0.01, seed: 1}
+  disturbance: {v: {sine: {amplitude: 0.2, frequency: 3}}}
+  quantum: {y: 0.001}
+  controller: {sample_time: 0.01}
+require: {final_error: 1, largest_input: {u: 900}}
+"""
+
+
+@pytest.mark.parametrize("command", ["check", "design", "simulate"])
+@pytest.mark.parametrize("more", ["", MUCH], ids=["nothing else", "a machine"])
+def test_ten_lines_of_eighty_columns(tmp_path: Path, command: str, more: str) -> None:
+    options = () if command == "check" else ("--out", tmp_path / "out")
+    run = call(command, stage(tmp_path, more=more), *options)
+    assert run.exit_code == 0, run.output
+    assert small(run.stdout.splitlines())
+
+
+def test_rows_that_have_no_room_give_way_in_the_order_of_their_weight() -> None:
+    rows = joined([*((label, "x " * 99) for label in ("margins", "K, L", "guarantee", "simulated", "files"))])
+    for most in range(1, 8):
+        lines = fitted(rows, most)
+        assert len(lines) <= most
+        assert small(lines)
+    assert [line.split()[0] for line in fitted(rows, 2)] == ["simulated", "files"]
+    labels = [line[:12].strip() for line in fitted(rows, 5)]
+    assert labels == ["simulated", "", "guarantee", "K, L", "files"]  # that the run went well, or not, has two lines
+
+
+def test_what_is_declared_times_its_bound_is_what_is_said_in_the_end(tmp_path: Path) -> None:
+    """Three standard deviations of the sensor, and the amplitude of the disturbance."""
+    spec = load_spec(
+        stage(tmp_path, more=MUCH.replace("  quantum: {y: 0.001}\n  controller: {sample_time: 0.01}\n", ""))
+    )
+    made = design(spec)
+    acting = declared(spec, made)
+    assert acting == {("noise", 0): pytest.approx(0.06), ("disturbance", 1): pytest.approx(0.2, rel=1e-3)}
+    sizes = {bounds.channel: bounds.sizes["output", 0] for bounds in made.bounds}
+    total = sum(sizes[channel] * size for channel, size in acting.items())
+    assert assessed(spec, made).ends["output", 0] == pytest.approx(total)
+
+
+def test_where_the_sampled_loop_is_bounded_that_is_what_is_said_in_the_end(tmp_path: Path) -> None:
+    spec = load_spec(stage(tmp_path, more=MUCH))
+    made = design(spec)
+    assert declared(spec, made)["noise", 0] == pytest.approx(0.0605)  # and half a step
+    said = assessed(spec, made)
+    assert said.ends == made.claim(SampledBounds).ends_below(made)
+    assert said.condition.startswith("as sampled")
+
+
+def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_warned_of(tmp_path: Path) -> None:
+    noise = "  noise: {std: {y: %s}, sample_time: 0.01, seed: 1}\n"
+    said = {}
+    for std in ("1e-9", "0.02"):
+        spec = load_spec(stage(tmp_path, more=noise % std))
+        said[std] = [w for w in assessed(spec, design(spec)).warnings if "half the reference" in w]
+    assert [len(found) for found in said.values()] == [0, 1]
+    spec = load_spec(stage(tmp_path, more=noise % "1e-9" + "require: {final_error: 1e-12}\n"))
+    assert any("× 1e-12 m (required)" in w for w in assessed(spec, design(spec)).warnings)
+
+
+def test_an_element_of_the_wrong_sign_is_warned_of_by_its_figures(tmp_path: Path) -> None:
+    right, wrong = (load_spec(stage(tmp_path), {"sign": sign}).problem.plant for sign in ("-1", "1"))
+    assert plant_warnings(right) == []
+    gives, away = plant_warnings(wrong)
+    assert gives.startswith("'bed' gives energy: it pushes z on, 100 1/s² per unit")  # 2 k / m
+    s = max(np.linalg.eigvals(A).real.max() for A in wrong.A)
+    assert f"in 3 of 3 cells, time constant {1 / s:.3g} s" in away
+
+
+def test_a_mode_without_damping_is_warned_of(tmp_path: Path) -> None:
+    plant = load_spec(stage(tmp_path), {"d": "0"}).problem.plant
+    (said,) = plant_warnings(plant)
+    assert said.startswith(f"a mode at {np.sqrt(2 * 100 / 2):.3g} rad/s has damping 0")
+
+
+def test_an_input_that_rests_at_its_limit_is_warned_of(tmp_path: Path) -> None:
+    limits = "  actuator: {{limits: {{u: [-90, {}]}}}}\n"
+    for limit, expected in (("5.001", True), ("50", False)):  # k z = 5 N
+        spec = load_spec(stage(tmp_path, output="{constant: 0.05}", more=limits.format(limit)))
+        said = [w for w in assessed(spec, design(spec)).warnings if "of its range is left" in w]
+        assert bool(said) == expected
+        assert not expected or said[0].startswith("u comes to 5 N by its feedforward alone, its limit is 5.001: 0.0 %")
+
+
+def test_gains_too_fast_for_their_sampling_are_warned_of_unless_the_sampled_loop_is_proved(tmp_path: Path) -> None:
+    slow = "  controller: {sample_time: 0.1, method: emulated}\n"
+    spec = load_spec(stage(tmp_path, more=slow))
+    said = assessed(spec, design(spec)).warnings
+    assert any(w.startswith("bandwidth") and "sampling 62.8 rad/s" in w for w in said)
+    assert any(w.startswith("sampled every 0.1 s K acts as if changed by") for w in said)
+    proved = load_spec(stage(tmp_path, more="  controller: {sample_time: 0.001}\n"))
+    assert not any("sampl" in w for w in assessed(proved, design(proved)).warnings)
+
+
+def test_warnings_are_in_run_json_and_all_that_is_proved_in_summary_txt(tmp_path: Path) -> None:
+    path, out = stage(tmp_path), tmp_path / "out"
+    run = call("design", path, "--set", "sign=1", "--out", out)
+    assert run.exit_code == 0, run.output
+    assert run.stdout.splitlines()[1].startswith("warning     'bed' gives energy")
+    index = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    assert len(index["warnings"]) >= 2
+    said = (out / "summary.txt").read_text(encoding="utf-8")
+    assert all(label in said for label in ("(8) controller", "(9) observer", "bounds", "margins", "warning"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["two_mass_machine", "gallery/gear_with_backlash", "gallery/payload_in_wind"])
+def test_specs_of_the_repository_have_small_first_screens(specs: Path, tmp_path: Path, name: str) -> None:
+    run = call("simulate", specs / f"{name}.yaml", "--plots", "none", "--out", tmp_path / "out")
+    assert small(run.stdout.splitlines())
+    assert any(line.startswith("guarantee") for line in run.stdout.splitlines())
