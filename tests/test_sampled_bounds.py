@@ -151,6 +151,21 @@ def test_what_acts_is_what_the_walk_shows_in_between(which: str, request: pytest
     assert which == "sampled" or abs(claim.errors.R.floats @ plant.B).max() == 1
 
 
+@pytest.mark.parametrize("which", ["sampled", "friction"])
+def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
+    which: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec, controller = request.getfixturevalue(which)
+    claim = the_bounds(controller)
+    monkeypatch.setattr("pwatrack.simulation.acting._BLOCK", 7)
+    asked = asking(spec, controller, claim.errors.gains)
+    assert asked.acting is not None
+    found = asked.acting(controller, claim.errors)
+    assert found is not None
+    assert found.off == pytest.approx(claim.acts.off, rel=2e-3)
+    assert found.sizes == pytest.approx(dict(claim.acts.sizes), rel=2e-3)
+
+
 def test_noise_and_disturbances_act_as_large_as_they_are(sampled: tuple[Spec, ProvedController]) -> None:
     _, controller = sampled
     acts = the_bounds(controller).acts.sizes
@@ -219,6 +234,12 @@ def test_tubes_are_in_the_certificate_and_read_again(
     assert told.figures(spec.words, controller) == claim.figures(spec.words, controller)
 
 
+def exchange(tubes: Any, one: str, other: str) -> None:
+    """Say of each of two tubes that it is of the channel of the other."""
+    first, second = (next(tube for tube in tubes if tube["channel"][0] == kind) for kind in (one, other))
+    first["channel"], second["channel"] = second["channel"], first["channel"]
+
+
 FORGED: dict[str, Callable[[Any], Any]] = {
     "a smaller bound": lambda t: t[0]["signals"][0].__setitem__(2, "1e-9"),
     "another channel": lambda t: t[0].update(channel=["disturbance", 0]),
@@ -235,6 +256,8 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "a smaller Q": lambda t: t[0]["Q"].__setitem__(0, t[1]["Q"][0]),
     "b of 1": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="1"),
     "another b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0.5"),
+    "a mean for a ripple": lambda t: exchange(t, "input", "ripple"),
+    "what moves for a ripple": lambda t: exchange(t, "moved", "ripple"),
     "no b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0"),
 }
 
