@@ -23,6 +23,7 @@ from pwatrack.lmi.clocked import Clocked
 from pwatrack.lmi.clocked_tubes import Drive, tube
 from pwatrack.lmi.tube_program import TubeProgram
 from pwatrack.report.certificate import design_certificate
+from pwatrack.simulation import acting
 from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.propagate import simulate_flow
 from tests.sampled import asking, worst_found
@@ -157,7 +158,7 @@ def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
 ) -> None:
     spec, controller = request.getfixturevalue(which)
     claim = the_bounds(controller)
-    monkeypatch.setattr("pwatrack.simulation.acting._BLOCK", 7)
+    monkeypatch.setattr(acting, "BLOCK", 7)
     asked = asking(spec, controller, claim.errors.gains)
     assert asked.acting is not None
     found = asked.acting(controller, claim.errors)

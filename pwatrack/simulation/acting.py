@@ -35,7 +35,7 @@ from pwatrack.simulation.propagate import pieces, trace_blocks
 from pwatrack.simulation.trace import Trace
 
 _MOST = 500_000  # substeps of a run that is walked: half a minute
-_BLOCK = 20_000  # of them at a time
+BLOCK = 20_000  # of them at a time
 _ROUNDING = 1e-11  # of the size of what is held: what differs by less differs by rounding
 _ON_TICK = 1e-9  # of a substep: a break that is nearer before one is on it but for rounding
 _LOST = 8 * EPS  # of the integral of u_ff: what is lost in a difference of it
@@ -132,7 +132,7 @@ class _Walk:
         flow, z0 = self._flow(), np.concatenate([np.zeros(m), eta, system.w0, [1.0]])
         resets = pieces(system, slice(m + p, m + p + len(system.w0)))
         for trace in trace_blocks(
-            flow, z0, duration=duration, sample_time=self._step, resets=resets, most=_BLOCK * self._parts
+            flow, z0, duration=duration, sample_time=self._step, resets=resets, most=BLOCK * self._parts
         ):
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z[:, m:])
             known = zip(x_d[:: self._parts], held, strict=False)
