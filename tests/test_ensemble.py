@@ -292,7 +292,18 @@ def test_the_command_writes_a_row_for_each_member_and_says_what_came_out(tmp_pat
     text = "plant: {z1: [-0.3, 0.3], v1: [-1, 1]}, observer: {ellipsoid: {radii: {z2: 0.1}, center: {v1: 2}}}"
     path = regions(tmp_path / "plant.yaml", text + ", generator: [[0, 0.2], [0, 0]]")
     run = call(
-        "simulate", path, "--ensemble", 12, "--seed", 3, "--over", "initial", "--out", tmp_path / "out", pictures=True
+        "simulate",
+        path,
+        "--ensemble",
+        12,
+        "--seed",
+        3,
+        "--over",
+        "initial",
+        "--verbose",
+        "--out",
+        tmp_path / "out",
+        pictures=True,
     )
     assert run.exit_code == 0, run.output
     assert "12 members from other initial states, seed 3" in run.stdout
@@ -373,7 +384,7 @@ def test_every_member_is_judged_as_a_run_of_its_own_and_one_that_grows_ends_with
     grown = [number for number, result in enumerate(alone, 1) if result.outcome.kind == "grows"]
     assert 0 < len(grown) < 12
     cart(tmp_path, "ensemble: {parameters: {k: [0, 16]}}", duration=8)
-    run = call("simulate", path, "--ensemble", 12, "--over", "parameters", "--out", tmp_path / "out")
+    run = call("simulate", path, "--ensemble", 12, "--over", "parameters", "--verbose", "--out", tmp_path / "out")
     said = f"{len(grown)} of 12 members fail; member {grown[0]}: the error grows"
     assert (run.exit_code, said in run.stderr) == (6, True)
     assert f"grows: {len(grown)}" in run.stdout

@@ -61,7 +61,7 @@ def test_check_refuses_a_mode_that_no_gain_moves_and_says_what_would_reach_it(
 ) -> None:
     path = tmp_path / "hidden.yaml"
     path.write_text(HIDDEN.format(**OPEN | changes))
-    run = CliRunner().invoke(app, ["check", str(path)])
+    run = CliRunner().invoke(app, ["check", "--verbose", str(path)])
     said = " ".join(run.output.split())
     assert run.exit_code == (4 if words else 0), said
     assert all(word in said for word in words)

@@ -71,7 +71,7 @@ def test_where_the_plant_is_stable_by_itself_it_is_from_every_start_without_room
     for level in ("0", "20"):
         path = tmp_path / "tank.yaml"
         path.write_text(TANK.replace("MORE", "observer: {rate: 1}").replace("LEVEL", level), encoding="utf-8")
-        said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+        said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
         assert "errors go to 0 from every start, with inputs at their limits too" in said
         assert verify(tmp_path / "out", path)
     made = design(load_spec(path))
@@ -87,7 +87,7 @@ def test_loads_that_every_start_bears_are_what_leaves_the_feedforward_in_its_lim
     """u_ff = 4 kW of 0 to 8 kW; loads from −4 to 4 kW are taken off it."""
     path = tmp_path / "tank.yaml"
     path.write_text(TANK.replace("MORE", "estimate: input").replace("LEVEL", "20"), encoding="utf-8")
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "errors go to 0 from every start and all constant loads at Q from −3.999 to 3.999 kW, with" in said
     made = design(load_spec(path))
     for load, rests in ((3.9, True), (-3.9, True), (4.4, False)):
@@ -198,7 +198,7 @@ def test_a_smaller_gain_is_taken_where_starts_are_not_inside_and_what_it_costs_i
     assert scaled(made.claim(LimitedRegion))["exact"] >= 1
     ratio = float(np.linalg.norm(made.sizes.gain(cheaper)) / np.linalg.norm(made.sizes.gain(made.K)))
     assert ratio > 3
-    said = " ".join(call("design", path, "--out", out).stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", out).stdout.split())
     assert f"for that K is {ratio:.2g} times smaller in sizes than that of least cost, [-1000" in said
     assert any("it belongs to" in line for line in verify(out, path))
     told = json.loads((out / "run.json").read_text(encoding="utf-8"))["limits_active"]
@@ -234,7 +234,7 @@ def test_where_nothing_is_left_on_one_side_of_an_unstable_plant_nothing_is_prove
     path = tmp_path / "tank.yaml"
     text = TANK.replace("-0.1", "0.1").replace("MORE", "observer: {rate: 1}").replace("LEVEL", "0")
     path.write_text(text, encoding="utf-8")
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "limits active not proved: no ellipsoid was found that proves it" in said
     assert design(load_spec(path)).design.cheaper is None
 

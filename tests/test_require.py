@@ -454,7 +454,7 @@ def test_what_took_too_long_to_enclose_is_said_of_the_samples_and_keeps_no_limit
     assert result.figures.largest_input["u"] == u < 0.999 * enclosed.largest_input["u"]
     assert result.figures.final_error == error[-3:].max()
     assert " at the samples in the last tenth of the time" in result.outcome.text
-    run = call("simulate", path, "--ensemble", 3, "--out", tmp_path / "out")
+    run = call("simulate", path, "--ensemble", 3, "--verbose", "--out", tmp_path / "out")
     assert run.exit_code == 6, run.output
     said = " ".join(run.output.split())
     assert f"largest input |u| = {u:.4g} N at the samples" in said

@@ -197,7 +197,7 @@ def test_where_each_cell_is_stable_and_the_loop_runs_away_no_such_time_is_offere
 def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_path: Path) -> None:
     path = tmp_path / "bent.yaml"
     path.write_text(BENT.replace("TIME", "1"), encoding="utf-8")
-    run = call("design", path, "--out", tmp_path / "out")
+    run = call("design", path, "--verbose", "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
     said = "sampled every 1 s, the loop is unstable in cell 'bend off'"
     assert said in " ".join(run.output.split())
@@ -341,7 +341,7 @@ def test_check_says_what_design_says_of_a_sample_time_where_the_gains_are_given(
     path = cart(tmp_path, SLOW, reference="0.08*cos(t)")
     remarks = json.loads(call("check", path, "--json").stdout)["remarks"]
     assert [remark[: len(said)] for remark in remarks] == [said]
-    assert remarks[0] in " ".join(call("design", path, "--out", tmp_path / "out").output.split())
+    assert remarks[0] in " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").output.split())
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("  observer: {L: [[-10], [-30]]}\n", ""), encoding="utf-8")
     (remark,) = json.loads(call("check", path, "--json").stdout)["remarks"]

@@ -187,7 +187,7 @@ def test_what_only_the_start_of_the_generator_takes_is_said_and_not_refused(tmp_
     controller = design(load_spec(path))
     assert controller.claims_of(NoSaturation)
     assert controller.claim(NoSaturation).room.left is None
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "more than that, from where the generator starts; once that start is forgotten -0.674" in said
     index = json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))
     assert index["limits"]["inputs"]["u"]["left"] is None
@@ -210,7 +210,7 @@ def test_a_limit_on_one_side_leaves_what_it_leaves(tmp_path: Path) -> None:
     path = written(tmp_path, STAGE, REFERENCE="0.1*sin(5*t)", LIMITS="[-.inf, 6]")
     found, peak = limited(load_spec(path))
     assert found.left == pytest.approx(6 - peak.high, rel=1e-5)
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "u from -inf to 6 N: its feedforward takes" in said
 
 
@@ -314,7 +314,7 @@ def test_a_run_from_the_boundary_of_the_promise_keeps_its_limits(specs: Path) ->
 
 def test_what_is_promised_is_audited_and_a_smaller_number_is_found_out(tmp_path: Path) -> None:
     out, path = tmp_path / "out", written(tmp_path, MASS, INITIAL="initial: {plant: [0.3]}")
-    said = " ".join(call("simulate", path, "--out", out).stdout.split())
+    said = " ".join(call("simulate", path, "--verbose", "--out", out).stdout.split())
     assert "in the loop as designed no limit is ever reached from each |x_k − x_dk| up to 0.7599 times its size" in said
     assert "the bounds of inputs from 3 boxes of starts are proved" in verify(out, path)
     text = (out / "certificate.json").read_text(encoding="utf-8")
@@ -483,7 +483,7 @@ def test_where_no_gain_keeps_the_limits_it_is_said_from_where_they_are_kept(tmp_
     """z'' = z + u cannot be held from 2 with |u| <= 1."""
     text = STAGE.replace("[0, -d/m]]", "[1, 0]]").replace("  units:", "  sizes: {z: 2, v: 2}\n  units:")
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-2, 2]")
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "designed within the limits" not in said
     share = re.search(r"from each \|x_k − x_dk\| up to (\S+) times its size and x̂ = x", said)
     assert share
@@ -531,7 +531,7 @@ def test_starts_of_an_ensemble_are_what_a_gain_is_designed_for(tmp_path: Path) -
         assert ("ensemble" in kinds) == (more == starts)
     assert np.abs(gains[0][0, 0]) < np.abs(gains[1][0, 0])
     path = written(tmp_path, text, REFERENCE="0.1*sin(t)", LIMITS="[-4, 4]", MORE=starts)
-    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "designed within the limits" in said
     assert "no limit is ever reached from the starts of its ensemble with x̂ = x" in said
     assert any("it belongs to" in line for line in verify(tmp_path / "out", path))
@@ -573,7 +573,7 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
         most = max(most, float(np.abs(response.u - nominal).max()))
     assert 0.3 * found.room.left[0] < most <= found.room.left[0]
     out = tmp_path / "out"
-    said = " ".join(call("design", path, "--out", out).stdout.split())
+    said = " ".join(call("design", path, "--verbose", "--out", out).stdout.split())
     assert "from each |x_k − x_dk| and |x̂_k − x_k| and each load up to" in said
     content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
     assert audit(json.dumps(content))[1] == []
@@ -626,7 +626,7 @@ def test_a_peak_that_a_fast_generator_makes_between_the_samples_of_a_slow_refere
 
 def test_no_start_is_promised_to_reach_no_limit_that_the_feedforward_reaches_between_samples(tmp_path: Path) -> None:
     path = written(tmp_path, FAST, LIMITS="[-2, 2]")
-    said = " ".join(call("simulate", path, "--out", tmp_path / "out").stdout.split())
+    said = " ".join(call("simulate", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert "its feedforward takes -8.526 to 6.391" in said
     assert "limit is" not in said
     assert simulate(load_spec(path)).figures.largest_input["u"] == pytest.approx(2, rel=2e-7)
@@ -636,7 +636,7 @@ def test_no_start_is_promised_to_reach_no_limit_that_the_feedforward_reaches_bet
 def test_what_the_reference_does_after_the_run_is_not_spoken_of(tmp_path: Path, later: float, said: str) -> None:
     steps = f"{{step: [{{size: 0.1, at: 1, smooth: 1}}, {{size: 0.2, at: {later}, smooth: 1}}]}}"
     path = written(tmp_path, STAGE, REFERENCE=steps, DURATION="10", LIMITS="[-20, 20]")
-    text = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    text = " ".join(call("design", path, "--verbose", "--out", tmp_path / "out").stdout.split())
     assert f"in the loop as designed {said} from" in text
 
 

@@ -195,8 +195,6 @@ class _Made:
                 assessment = assessed(spec, controller)
                 kept: dict[str, Any] = {"warnings": assessment.warnings, "effort": self.effort}
                 files.write_design(spec, controller, folder, broken=refusal, **kept)
-                if shown == "summary":
-                    print_screen(console(), screen(spec.name, first_rows(spec, controller, assessment)))
                 refusal.add_note(f"  the design is proved all the same: {folder!s}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
