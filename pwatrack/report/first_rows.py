@@ -59,7 +59,7 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
         figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
         ends = ", ".join(f"{count:,} {kind}" for kind, count in figures["outcomes"].items())
         worst = f"{figures['final_error']['worst']:.2e} {unit}".rstrip()
-        said = f"{figures['members']:,} {many.variation.text}: {ends}; error at the end {worst} at worst"
+        said = f"{figures['members']:,} members {many.variation.text}: {ends}; error at the end {worst} at worst"
         yield "ensemble", f"{said}, member {figures['final_error']['member']}"
     if met := [each.short for each in checked if each.met]:
         yield "required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}"
