@@ -106,8 +106,8 @@ def slowest(rate: float) -> str:
     """Return the time constant of a decay rate in s, rounded up.
 
     Example:
-        >>> slowest(0.0694), slowest(200.0)
-        ('time constant 14.5 s', 'time constant 0.005 s')
+        >>> slowest(0.0694), slowest(3.0)
+        ('time constant 14.5 s', 'time constant 0.334 s')
     """
     return f"time constant {up(1 / rate)} s"
 

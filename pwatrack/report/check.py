@@ -74,6 +74,7 @@ def mode_text(found: Sequence[Mode]) -> str:
     """Return modes with frequency, damping and time constant, the slowest first.
 
     Example:
+        >>> import numpy as np
         >>> mode_text(modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))), mode_text(modes(np.array([[0.0]])))
         ('2 rad/s damped 0.1 (5 s)', 'integrates')
     """

@@ -29,8 +29,9 @@ def modes(A: Array) -> list[Mode]:
 
     Example: a mass on a spring with a tenth of critical damping.
 
-        >>> modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))
-        [Mode(frequency=2.0, damping=0.1, time_constant=5.0)]
+        >>> (found,) = modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))
+        >>> print(f"{found.frequency:.3g} {found.damping:.3g} {found.time_constant:.3g}")
+        2 0.1 5
     """
     values = np.linalg.eigvals(A).astype(complex)
     rounding, found = NOTHING * float(np.abs(values).max(initial=0.0)), list[Mode]()

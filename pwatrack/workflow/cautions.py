@@ -113,7 +113,7 @@ def acting_text(words: Words, acting: Mapping[Channel, float]) -> str:
     Example:
         >>> from pwatrack import load_spec
         >>> acting_text(load_spec("specs/two_mass_backlash.yaml").words, {("noise", 0): 3e-4})
-        'measured y off by up to 0.0003'
+        'measured y off by up to 0.0003 m'
     """
     said = []
     for channel, size in acting.items():
