@@ -6,7 +6,6 @@ beside u_ff at all times, from a start, no limit is ever reached from there, and
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -156,7 +155,7 @@ class NoSaturation(Claim):
                 "lasting": None if room.lasting is None else _peak(room.lasting, k),
                 "left": None if left is None else float(left[k]),
             }
-            for k in _finite(room)
+            for k in room.inputs
         }
         said = [p.figures(left, names) for p in self.promises if left is not None]
         return {"limits": {"inputs": inputs, "ever": room.ever, "starts": said}}
@@ -169,7 +168,7 @@ class NoSaturation(Claim):
     def _takes(self, words: Words) -> Iterator[str]:
         """Yield what the feedforward takes of each limit."""
         room = self.room
-        for k in _finite(room):
+        for k in room.inputs:
             name, unit = words.plant.inputs[k], words.units.get(words.plant.inputs[k], "")
             low, high = (number_text(float(v), "g") for v in room.limits[k])
             said = f"{name} from {low} to {high} {unit}".rstrip()
@@ -257,7 +256,7 @@ def loops_of(controller: ProvedController) -> Loops:
 def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
     """Return the rows of u − u_ff and what is taken off for loads, for some inputs."""
     kind: Literal["drive", "input"] = "drive" if loops.n < loops.N and loop == "joint" else "input"
-    return reduce(above, (loops.row(loop, (kind, k)) for k in inputs))
+    return above(*(loops.row(loop, (kind, k)) for k in inputs))
 
 
 def loads_at(loops: Loops, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
@@ -299,7 +298,3 @@ def _range(peak: Peak, k: int, unit: str) -> str:
     (first, last), low, high = peak.times[k].tolist(), float(peak.low[k]), float(peak.high[k])
     ends = f"{number_text(low, '.4g')} to {number_text(high, '.4g')} {unit}".rstrip()
     return f"{ends} (t = {first:.4g} s, {last:.4g} s)"
-
-
-def _finite(room: Headroom) -> list[int]:
-    return [int(k) for k in np.flatnonzero(np.isfinite(room.limits).any(axis=1))]

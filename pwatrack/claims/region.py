@@ -147,7 +147,7 @@ def _beyond(controller: ProvedController, room: Headroom) -> str:
 
 def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarantee, ...]:
     """Prove from which starts errors go to 0 with limits active: from every one, or from multiples of those given."""
-    loops, inputs = loops_of(controller), _inputs(room)
+    loops, inputs = loops_of(controller), room.inputs
     loop = _saturated(loops, "controller", inputs)
     held = loop.everywhere() if loop.work <= MOST_WORK else None
     if held is not None:
@@ -166,7 +166,7 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
 
 def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) -> StartGuarantee | None:
     """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion."""
-    left, inputs = room.spare, list(_inputs(room))
+    left, inputs = room.spare, list(room.inputs)
     assert left is not None
     loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
     for _ in range(_TRIES if loads.any() else 1):
@@ -181,7 +181,7 @@ def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) 
 
 def _of(loops: Loops, starts: Starts, room: Headroom, held: Region) -> StartGuarantee:
     loop: Loop = "joint" if starts.delta is not None and starts.kind != "every" else "controller"
-    inputs = _inputs(room)
+    inputs = room.inputs
     loads = (0.0,) * len(inputs) if starts.kind == "every" else loads_at(loops, starts, inputs)
     return StartGuarantee(starts=starts, loop=loop, inputs=inputs, held=held, loads=loads)
 
@@ -191,10 +191,6 @@ def _every(controller: ProvedController) -> Starts:
     n, N = len(controller.plant.B), len(controller.L)
     free = n == N or taken_off(controller.compensation, loops_of(controller).at_inputs)
     return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if free else None)
-
-
-def _inputs(room: Headroom) -> tuple[int, ...]:
-    return tuple(int(k) for k in np.flatnonzero(np.isfinite(room.limits).any(axis=1)))
 
 
 def _saturated(loops: Loops, loop: Loop, inputs: tuple[int, ...]) -> SaturatedLoop:

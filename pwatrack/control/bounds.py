@@ -30,7 +30,7 @@ each entry of the coupling, which acts like a disturbance of that state equation
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import product
 from typing import Literal
 
@@ -183,7 +183,7 @@ class Loops:
         for loop, forms in signals.items():
             M, g = self.M.get(loop, []), self.drive(loop, channel)
             if len(M) == 1 and channel[0] != "start" and (g.radius is not None or any(g.centre.entries())):
-                gains = peak_gains(M[0], g, reduce(above, (self.row(loop, form) for form in forms)))
+                gains = peak_gains(M[0], g, above(*(self.row(loop, form) for form in forms)))
                 found |= dict(zip(forms, gains or (), strict=gains is not None))
         return found
 
@@ -213,7 +213,7 @@ class Loops:
             return dict.fromkeys(signals, 0.0), ()
         if not self.inners[loop]:
             return {}, ()
-        rows = reduce(above, (self.row(loop, signal) for signal in signals))
+        rows = above(*(self.row(loop, signal) for signal in signals))
         if channel[0] == "start":
             found = from_start(self.M[loop], g, rows, self.inners[loop])
         else:

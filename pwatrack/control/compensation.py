@@ -16,7 +16,6 @@ need not be, if one H makes the rows of W_i below r vanish in all cells: A_ηi H
 """
 
 from dataclasses import dataclass
-from functools import reduce
 
 import flint
 import numpy as np
@@ -118,7 +117,7 @@ def loads_in_derivatives(loads: Loads, form: NormalForm) -> BallMatrix:
         G.append(nothing)
         for _ in range(r - 1):
             G.append(T.part([len(G) - 1], range(n)) @ loads.E + G[-1] @ loads.S)
-    return reduce(above, G + [nothing] * (n - form.r))
+    return above(*G, *[nothing] * (n - form.r))
 
 
 def resting(loads: Loads, form: NormalForm) -> Rational:

@@ -162,6 +162,11 @@ class Headroom:
     starts: tuple[Starts, ...] = ()
 
     @property
+    def inputs(self) -> tuple[int, ...]:
+        """Which inputs have a limit."""
+        return tuple(int(k) for k in np.flatnonzero(np.isfinite(self.limits).any(axis=1)))
+
+    @property
     def left(self) -> Array | None:
         """How far each input may be from its feedforward at any time, (m,); None where nothing is left or known."""
         left = self.spare

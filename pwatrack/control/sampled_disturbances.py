@@ -15,10 +15,8 @@ obeys the same, but that B W acts beside e in place of what W' did, and R B (W â
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.ball_matrix import BallMatrix, above, zero
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.lmi.clocked_tubes import Drive
@@ -42,16 +40,16 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
     """Return how 1 of what acts enters z; what is measured counts with the other sign."""
     kind, k = channel
     n, m, N, q = _sizes(errors)
-    nothing = _column([_zero(n + m + N + q)])
+    nothing = zero(n + m + N + q, 1)
     if kind == "noise":
         M = BallMatrix.of(errors.gains.M[:, [k]])
         kick = BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
-        return Drive(held=nothing, between=nothing, ticks=_column([_zero(n), kick, M, _zero(q)]))
+        return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(q, 1)))
     if kind == "disturbance":
         one = _unit(n, k)
-        return Drive(held=nothing, between=_column([one, _zero(m), _zero(n) - one, _zero(N - n + q)]))
+        return Drive(held=nothing, between=above(one, zero(m, 1), zero(n, 1) - one, zero(N - n + q, 1)))
     if kind == "ripple":
-        return Drive(held=_column([errors.plant.exact.B.part(range(n), [k]), _zero(m + N + q)]), between=nothing)
+        return Drive(held=above(errors.plant.exact.B.part(range(n), [k]), zero(m + N + q, 1)), between=nothing)
     place = n + k if kind == "input" else n + m + N + k
     return Drive(held=_unit(n + m + N + q, place), between=nothing)
 
@@ -62,7 +60,7 @@ def row(errors: SampledErrors, form: Form) -> BallMatrix:
     n, m, N, q = _sizes(errors)
     if kind == "output":
         c = errors.plant.exact.tracked.part([k], range(n)).transpose()
-        return _column([c, _zero(m + N + q)]).transpose()
+        return above(c, zero(m + N + q, 1)).transpose()
     place = {"state": 0, "input": n, "estimate": n + m}[kind] + k
     return _unit(n + m + N + q, place).transpose()
 
@@ -73,13 +71,5 @@ def _sizes(errors: SampledErrors) -> tuple[int, int, int, int]:
     return n, m, N, errors.R.shape[0]
 
 
-def _column(parts: list[BallMatrix]) -> BallMatrix:
-    return above(*parts)
-
-
 def _unit(size: int, k: int) -> BallMatrix:
     return BallMatrix(identity(size)).part(range(size), [k])
-
-
-def _zero(size: int) -> BallMatrix:
-    return BallMatrix.of(np.zeros((size, 1)), (size, 1))

@@ -98,15 +98,15 @@ def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) 
 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
     """Yield what no claim takes in of what is not as the theorems assume."""
-    conditions, proved = spec.scenario.conditions, any(c.proof is not None for c in controller.claims_of(SampledLoop))
-    loads, disturbance = controller.plant.loads, conditions.disturbance
+    conditions, loads = spec.scenario.conditions, controller.plant.loads
+    disturbance = conditions.disturbance
     if loads is not None and disturbance is not None and loads.are(disturbance):
         conditions = replace(conditions, disturbance=None)
     if assessment.ends:
         quanta = conditions.quanta
         steps = quanta is not None and bool(quanta.inputs.any())
         conditions = replace(conditions, noise=None, disturbance=None, quanta=quanta if steps else None)
-    if proved or controller.claims_of(SampledLoop):  # which says so itself
+    if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
     if said := conditions.texts(controller.plant):
         yield "NOT proved", "; ".join(said)

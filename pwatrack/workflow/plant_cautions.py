@@ -22,8 +22,8 @@ def plant_warnings(plant: PWASystem) -> list[str]:
     found = [(mode, name) for A, name in zip(plant.A, plant.cell_names, strict=True) for mode in modes(A)]
     away, said = [(mode, name) for mode, name in found if mode.frequency and mode.time_constant < 0], list[str]()
     form = plant.written if away else None
-    for element in () if form is None else form.elements:
-        rate = _pushes(form.A.floats, element) if form is not None else 0.0
+    for element, A in () if form is None else ((one, form.A.floats) for one in form.elements):
+        rate = _pushes(A, element)
         if rate > 0 and not any(f"'{element.name}'" in remark for remark in plant.remarks):
             said.append(
                 f"'{element.name}' gives energy: it pushes {_looked_at(element, plant)} on, {rate:.3g} 1/s² per unit: "
