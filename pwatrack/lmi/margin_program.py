@@ -4,11 +4,10 @@ from collections.abc import Mapping
 
 import clarabel
 import numpy as np
-from scipy import sparse
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.arrays import Array
 from pwatrack.lmi.chain_map import Bound, ChainMap, Term
-from pwatrack.lmi.cone_program import minimise
+from pwatrack.lmi.cone_program import minimise, sparsely, symmetric_of, upper
 from pwatrack.lmi.primal_dual import least
 
 _GAP = 1e-2  # share of the margin that may be missed
@@ -28,24 +27,16 @@ class MarginProgram:
     """
 
     def __init__(self, n: int, count: int) -> None:
-        column, row = np.tril_indices(n)
-        self.n, self.count, self.size = n, count, len(row)
-        self.places, self.scale = (column, row), np.where(row == column, 1.0, np.sqrt(2.0))
-        self.basis = np.zeros((self.size, n, n))  # of size 1 each
-        at = np.arange(self.size)
-        self.basis[at, row, column] = self.basis[at, column, row] = 1 / self.scale
+        self.n, self.count, self.size = n, count, n * (n + 1) // 2
+        self.basis = symmetric_of(np.eye(self.size), n)  # of size 1 each
         self.eye = np.eye(self.size)
         self.less, self.more = (-np.eye(n) / 2, np.eye(n)), (np.eye(n) / 2, np.eye(n))  # −P and P
         self.bounds: list[Bound] = []
 
-    def svec(self, X: Array) -> Array:
-        """Return upper triangles by columns, what is off the diagonal times √2, (…, size)."""
-        return np.asarray(X[..., self.places[0], self.places[1]] * self.scale)
-
     def image(self, L: Array, R: Array) -> Array:
         """Return the matrix of P ↦ L P R + Rᵀ P Lᵀ."""
         half = L @ self.basis @ R
-        return self.svec(half + half.transpose(0, 2, 1)).T
+        return upper(half + half.transpose(0, 2, 1)).T
 
     def congruence(self, J: Array) -> Array:
         """Return the matrix of P ↦ Jᵀ P J."""
@@ -70,22 +61,15 @@ class MarginProgram:
         return None if v is None else (chain.matrices(v), float(v[-1]))
 
     def _by_cones(self) -> tuple[Array, float] | None:
-        """Ask Clarabel, in its form: svec of P_0, P_1, …, then t."""
+        """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
         size, width = self.size, self.count * self.size
-        rows, columns, values = list[IntArray](), list[IntArray](), list[Array]()
-        unit = self.svec(np.eye(self.n))
+        unit = upper(np.eye(self.n))
         images = [
-            ({k: self.image(*term) for k, term in bound.terms.items()}, self.svec(bound.T)) for bound in self.bounds
+            {k: self.image(*term) for k, term in bound.terms.items()} | {self.count: upper(bound.T)[:, None]}
+            for bound in self.bounds
         ]
-        images.append(({0: np.outer(unit, unit) / self.n}, 0 * unit))  # the mean eigenvalue of P_0, at most 1
-        for at, (terms, T) in enumerate(images):
-            for k, X in [*terms.items(), (self.count, T[:, None])]:
-                row, column = np.nonzero(X)
-                rows.append(np.asarray(row + at * size, dtype=np.int64))
-                columns.append(np.asarray(column + k * size, dtype=np.int64))
-                values.append(X[row, column])
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        G = sparse.coo_matrix(entries, shape=(len(images) * size, width + 1)).tocsc()
+        images.append({0: np.outer(unit, unit) / self.n})  # the mean eigenvalue of P_0, at most 1
+        G = sparsely(images, size, width + 1)
         cones = [clarabel.PSDTriangleConeT(self.n)] * len(images)
         cost, sides = np.append(np.zeros(width), -1.0), np.append(np.zeros(len(self.bounds) * size), unit)
         try:

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 
 import clarabel
 import numpy as np
-from scipy import sparse
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.arrays import Array
 from pwatrack.lmi.clocked import Clocked, looked_for
-from pwatrack.lmi.cone_program import minimise
+from pwatrack.lmi.cone_program import minimise, sparsely, upper
 from pwatrack.lmi.margin_program import MarginProgram
 
 _GAP = 1e-4  # share of the cost that may be missed
@@ -23,7 +22,7 @@ _ROUNDS = 12  # in which they are added
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 
 Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
-Block = tuple[dict[int, Array], Array]  # Σ X_k svec Q_k is to be above this matrix
+Block = tuple[dict[int, Array], Array]  # Σ X_k Q_k, each Q_k as `upper` has it, is to be above this matrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,21 +144,16 @@ class TubeProgram:
 
 def _least(maps: MarginProgram, blocks: Sequence[Block], W: Array, rising: Array) -> Array | None:
     """Return Q_k with the least tr W ΣQ_k among those that satisfy some inequalities."""
-    rows, columns, values = list[IntArray](), list[IntArray](), list[Array]()
-    for at, (terms, _) in enumerate(blocks):
-        for j in range(maps.count):
-            X = sum(rising[k, j] * X_k for k, X_k in terms.items())
-            row, column = np.nonzero(X)
-            rows.append(np.asarray(row + at * maps.size, dtype=np.int64))
-            columns.append(np.asarray(column + j * maps.size, dtype=np.int64))
-            values.append(-X[row, column])
-    shape = len(blocks) * maps.size, maps.count * maps.size
-    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-    sides = np.concatenate([-maps.svec(above) for _, above in blocks])
-    cost = np.outer(rising.sum(axis=0) / maps.count, maps.svec(W)).ravel()
+    images = (
+        {j: np.asarray(-sum(rising[k, j] * X for k, X in terms.items())) for j in range(maps.count)}
+        for terms, _ in blocks
+    )
+    G = sparsely(images, maps.size, maps.count * maps.size)
+    sides = np.concatenate([-upper(above) for _, above in blocks])
+    cost = np.outer(rising.sum(axis=0) / maps.count, upper(W)).ravel()
     cones = [clarabel.PSDTriangleConeT(maps.n)] * len(blocks)
     try:
-        answer = minimise(cost, sparse.coo_matrix(entries, shape=shape).tocsc(), sides, cones, _GAP)
+        answer = minimise(cost, G, sides, cones, _GAP)
     except ArithmeticError:
         return None
     if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
