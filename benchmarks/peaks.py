@@ -23,7 +23,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import PwatrackError
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.desired import desired_flow, feedforward_peak
+from pwatrack.simulation.desired import desired_flow, desired_peak
 from pwatrack.workflow.starting import generator_start
 from pwatrack.workflow.tracking import desired_trajectory
 
@@ -58,7 +58,7 @@ def compared(
     plant: PWASystem, trajectory: DesiredTrajectory, start: Array, duration: float
 ) -> tuple[float, float] | None:
     """Return by how much a peak is below and above that of the other walk, in parts of the largest u_ff."""
-    peak = feedforward_peak(plant, trajectory, start, duration)
+    peak = desired_peak(plant, trajectory, trajectory.u_ff, start, duration)
     if peak is None:
         return None
     walk = Walked(plant, trajectory, start, duration)

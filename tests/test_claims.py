@@ -42,6 +42,9 @@ EXTRA = {
     "late": "reference: {output: 0.1*sin(t)}",
     "cost": "design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}\nreference: {output: 0.1*sin(t)}",
     "required": "reference: {output: {constant: 0.01}}\nrequire: {rate: 99, norm_K: 1e-9, norm_L: 1e9, overshoot: 99}",
+    "kept": "reference: {output: 0.1*sin(t)}\nrequire: {limits: {y: [-1, 0.9], v: [-9, .inf]}}",
+    "disturbed": "reference: {output: 0.1*sin(t)}\nrequire: {limits: {z: [-0.9, 0.9], v: [-0.11, 0.11]}}",
+    "whole": "reference: {output: 0.1*sin(t)}\nrequire: {limits: {y: [-0.1, 9]}}",
     "loads": "design: {estimate: {push: {into: {v: 1}}, hum: {into: {v: 1}, frequency: 3}}}\nreference: {output: 0.1}",
     "uncertain": "parameters: {m: 1}\ndesign: {uncertain: {m: 5%}}\nreference: {output: 0.1*sin(t)}\n",
     "polynomials": "design: {controller: {K: [[0, 0]]}, observer: {L: [[0], [0]]}}\nreference: {output: 0.1*sin(t)}",
@@ -166,6 +169,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         damping = "0.3" if name == "polynomials" else "1"
         limits = "actuator: {limits: {u: [-9, 9]}}" if name == "uncertain" else "portraits: []"
         limits = "controller: {sample_time: 0.01, delay: 1}" if name == "late" else limits
+        limits = "disturbance: {v: 0.001*sin(3*t)}" if name == "disturbed" else limits
         limits = "controller: {sample_time: 0.01}, quantum: {y: 0.001}" if name == "setpoint" else limits
         path = tmp_path / f"{name}.yaml"
         path.write_text(

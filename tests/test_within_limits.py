@@ -316,7 +316,7 @@ def test_what_is_promised_is_audited_and_a_smaller_number_is_found_out(tmp_path:
     out, path = tmp_path / "out", written(tmp_path, MASS, INITIAL="initial: {plant: [0.3]}")
     said = " ".join(call("simulate", path, "--verbose", "--out", out).stdout.split())
     assert "in the loop as designed no limit is ever reached from each |x_k − x_dk| up to 0.7599 times its size" in said
-    assert "the bounds of inputs from 3 boxes of starts are proved" in verify(out, path)
+    assert "the bounds of signals with limits from 3 boxes of starts are proved" in verify(out, path)
     text = (out / "certificate.json").read_text(encoding="utf-8")
     content = json.loads(text)
     entry = content["limits"][0]
@@ -579,7 +579,7 @@ def test_with_loads_at_the_input_no_corner_of_the_promise_reaches_a_limit(tmp_pa
     content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
     assert audit(json.dumps(content))[1] == []
     content["limits"][1]["signals"][0][0] = "input"
-    assert "limits of inputs are said of 'drive' here" in audit(json.dumps(content))[1][0]
+    assert "limits are said of 'drive' here" in audit(json.dumps(content))[1][0]
 
 
 def test_loads_that_are_not_constants_at_inputs_get_no_promise_but_for_the_right_estimates(tmp_path: Path) -> None:

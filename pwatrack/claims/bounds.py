@@ -50,11 +50,11 @@ class SignalBounds(Claim):
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
         """Yield the bounds, which are searched for when they are looked at first: they take longer than the design."""
-        yield cls(loops=loops_of(controller), solver=asked.solver)
+        yield cls(loops=loops_of(controller, _limited(asked)), solver=asked.solver)
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
-        loops = loops_of(controller)
+        loops = loops_of(controller, _limited(asked))
         found = {bounds.channel: bounds for bounds in map(read_bounds, content["bounds"])}
         acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
         starts = tuple(_with_peaks(loops, ("start", group[0]), found) for group in loops.starts)
@@ -190,11 +190,15 @@ def in_ellipsoid(Q: Packed, z: Array) -> float:
     return root_above((column.transpose() * Q.P.solve(column))[0, 0])
 
 
-def loops_of(controller: ProvedController) -> Loops:
-    """Return the loops of a controller, exact."""
+def _limited(asked: Asked) -> Sequence[Form]:
+    return () if asked.signals is None else asked.signals.forms
+
+
+def loops_of(controller: ProvedController, limited: Sequence[Form] = ()) -> Loops:
+    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded."""
     K, L = controller.design.exact
     X, output = controller.compensation.X, controller.tracking == "output"
-    return Loops(controller.plant, K, L, controller.proofs, X, output=output)
+    return Loops(controller.plant, K, L, controller.proofs, X, output=output, limited=limited)
 
 
 def bound_entry(words: Words, bounds: Bounds, *, uncertain: bool = False) -> dict[str, Any]:
@@ -227,7 +231,7 @@ def _with_norms(most: dict[Form, Array], controller: ProvedController, seen: See
     observer, counted = promised.observer_error(seen.t, start[n : 2 * n]), sizes if n > 1 else np.ones(1)
     for form in list(most):
         kind, k = form
-        if kind in ("output", "state"):
+        if kind == controller.tracking:
             most[form] = np.minimum(most[form], tracking * controller.error_sizes[k] * OVER_SUMS)
         elif kind == "estimate" and k < n:
             most[form] = np.minimum(most[form], observer * counted[k] * OVER_SUMS)

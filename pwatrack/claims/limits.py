@@ -23,7 +23,7 @@ from pwatrack.claims.exact_text import (
     signals,
     whole,
 )
-from pwatrack.control.bounds import Loop, Loops
+from pwatrack.control.bounds import Form, Loop, Loops
 from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Peak, Starts
@@ -35,14 +35,15 @@ _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
 @dataclass(frozen=True, kw_only=True)
 class StartGuarantee:
-    """By how much inputs differ from their feedforward at any time, from some starts, in the loop as designed.
+    """By how much inputs, or signals of x, differ from what they are to be, from some starts, in the loop as designed.
 
     Attributes:
         starts: Which.
         loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
-        inputs: Those that have limits.
-        held: The ellipsoid; None where no input is moved.
+        inputs: Those that have limits, or places in `forms`.
+        held: The ellipsoid; None where none of them is moved.
         loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
+        forms: What it is about where it is not about inputs.
     """
 
     starts: Starts
@@ -50,13 +51,22 @@ class StartGuarantee:
     inputs: tuple[int, ...]
     held: StartEllipsoid | None
     loads: tuple[float, ...]
+    forms: tuple[Form, ...] = ()
 
     def scale(self, left: Array) -> float:
         """Return how many times as large a start may be, so that each |u − u_ff| ≤ left, (m,); rounded down."""
+        return min(self._ratios(left).values(), default=np.inf) * (1 - 1e-12)
+
+    def binds(self, left: Array) -> int:
+        """Return which of them has the least left beside what the starts make of it."""
+        ratios = self._ratios(left)
+        return min(ratios, key=ratios.__getitem__)
+
+    def _ratios(self, left: Array) -> dict[int, float]:
+        """Return what is left of each of them that is moved, over what the starts make of it."""
         sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
         moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
-        ratios = (float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size)
-        return min(ratios, default=np.inf) * (1 - 1e-12)
+        return {k: float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size}
 
     def said(self, left: Array, *, loads: bool) -> str:
         """Say from which starts it is that each |u − u_ff| ≤ left, (m,), of a plant with or without loads."""
@@ -95,7 +105,10 @@ class StartGuarantee:
             "starts": decimal_texts(self.starts.G),
             "weights": [decimal(w) for w in self.held.weights],
             "Q": packed(self.held.integers, self.held.exponents),
-            "signals": signals(((kind, k), size) for k, size in zip(self.inputs, self.held.sizes, strict=True)),
+            "signals": signals(
+                (self.forms[k] if self.forms else (kind, k), size)
+                for k, size in zip(self.inputs, self.held.sizes, strict=True)
+            ),
         }
 
 
@@ -131,15 +144,13 @@ class NoSaturation(Claim):
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
         """Yield the same from what was proved before."""
-        room, entries = asked.room, {entry["of"]: entry for entry in content["limits"]}
+        room = asked.room
         if room is None:
             return
         if room.left is None or controller.running is not controller.plant:
             yield cls(room=room)
             return
-        known = {of: StartEllipsoid(**read_ellipsoid(entry)) for of, entry in entries.items()}
-        starts = [nearby(one, entries) for one in room.starts]
-        yield cls(room=room, promises=promises(controller, room.left, starts, known))
+        yield cls(room=room, promises=promises(controller, room.left, *known_before(content, room.starts, "input")))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the ellipsoids."""
@@ -211,8 +222,9 @@ def promises(
     left: Array,
     starts: Sequence[Starts],
     known: Mapping[str, StartEllipsoid] | None = None,
+    forms: tuple[Form, ...] = (),
 ) -> tuple[StartGuarantee, ...]:
-    """Prove from which starts inputs stay near their feedforward; what cannot be proved is not there.
+    """Prove from which starts inputs stay near their feedforward, or forms near x_d; what is not proved is not there.
 
     With x̂ = x they are about e' = (A_i + B K) e, else about (e, Δ) for all pairs of cells, as in `bounds`. Where loads
     are estimated the first is about a time when none acts, and its estimate is 0. The second is looked at where all are
@@ -224,6 +236,7 @@ def promises(
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
         known: What was proved of starts before, by their kind: then nothing is searched.
+        forms: Signals of x − x_d; `left` is about these then.
     """
     loops, p = loops_of(controller), len(controller.L) - len(controller.plant.B)
     off = taken_off(controller.compensation, loops.at_inputs)
@@ -232,8 +245,11 @@ def promises(
         loop: Loop = "controller" if one.delta is None else "joint"
         if loop not in loops.M or (p and one.delta is not None and (one.load is None or not off)):
             continue
-        rows, loads = drive_rows(loops, loop, inputs), loads_at(loops, one, inputs)
-        promise = StartGuarantee(starts=one, loop=loop, inputs=inputs, held=None, loads=loads)
+        if forms:
+            rows, loads = above(*(loops.row(loop, forms[k]) for k in inputs)), (0.0,) * len(inputs)
+        else:
+            rows, loads = drive_rows(loops, loop, inputs), loads_at(loops, one, inputs)
+        promise = StartGuarantee(starts=one, loop=loop, inputs=inputs, held=None, loads=loads, forms=forms)
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
             continue
@@ -270,6 +286,19 @@ def read_ellipsoid(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parts of an ellipsoid of starts that a certificate holds."""
     sizes = tuple(size for _, size in read_signals(entry["signals"]))
     return {**whole(entry["Q"]), "weights": tuple(map(double, entry["weights"])), "sizes": sizes}
+
+
+def known_before(
+    content: Mapping[str, Any], starts: Sequence[Starts], of: Literal["input", "state"]
+) -> tuple[list[Starts], dict[str, StartEllipsoid]]:
+    """Return starts as a certificate has them, and what it proves of them, of inputs or of signals of x."""
+    entries = {
+        entry["of"]: entry
+        for entry in content["limits"]
+        if (entry["signals"][0][0] in ("input", "drive")) == (of == "input")
+    }
+    known = {kind: StartEllipsoid(**read_ellipsoid(entry)) for kind, entry in entries.items()}
+    return [nearby(one, entries) for one in starts], known
 
 
 def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:

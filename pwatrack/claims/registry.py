@@ -7,6 +7,7 @@ from typing import Any
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.cost import Costs
 from pwatrack.claims.decay import Decay
+from pwatrack.claims.kept import KeptLimits
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.region import LimitedRegion
@@ -28,6 +29,7 @@ CLAIMS: tuple[type[Claim], ...] = (
     SignalBounds,
     Robust,
     StableInversion,
+    KeptLimits,
 )
 
 IMPOSSIBLE = (

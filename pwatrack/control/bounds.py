@@ -53,7 +53,7 @@ _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 
 Loop = Literal["joint", "controller", "observer"]
 Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation", "moved", "ripple"], int]
-Form = tuple[Literal["output", "state", "input", "estimate", "coupling", "drive"], int]
+Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive"], int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,8 @@ class Bounds:
     # the k-th entry of (x − x_d, x̂ − x, ŝ − s) at the start, s the states of loads
     channel: Channel
     # ("output", k): |y_k − y_dk| of what is tracked, for output tracking; ("state", k): |x_k − x_dk| for state
-    # tracking; ("input", k): |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
+    # tracking, and of what has limits; ("measured", k): |y_k − y_dk| of a measured output that has some; ("input", k):
+    # |u_k − u_ffk|; ("estimate", k): |x̂_k − x_k|. What could not be bounded is not there.
     sizes: dict[Form, float]
     # the ellipsoids that this is proved by: one of the joint loop; or the observer's, and those of the controller's
     # loop with this channel and all inputs, where a size is their sum
@@ -113,15 +114,23 @@ class Loops:
 
     X is of the `Compensation` of loads. `acting` are a disturbance of each state equation, then the noise of each
     measured output; `starts` the entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a
-    sinusoidal load.
+    sinusoidal load. `limited` are further signals of x − x_d that are to be bounded.
     """
 
     def __init__(
-        self, plant: PWASystem, K: BallMatrix, L: BallMatrix, proofs: Sequence[AnyProof], X: BallMatrix, *, output: bool
+        self,
+        plant: PWASystem,
+        K: BallMatrix,
+        L: BallMatrix,
+        proofs: Sequence[AnyProof],
+        X: BallMatrix,
+        *,
+        output: bool,
+        limited: Sequence[Form] = (),
     ) -> None:
         exact, seen, n, N = plant.exact, plant.observed, plant.exact.B.shape[0], L.shape[0]
         A, B, drive = [exact.A[i] for i in plant.hull], exact.B, coupling(plant, K, L, X)
-        self.B, self.c, self.K, self.L = B, exact.tracked, K, L
+        self.B, self.C, self.c, self.K, self.L = B, exact.C, exact.tracked, K, L
         self.n, self.N, self.coupling = n, N, drive
         self.shifted = X @ L.part(range(n, N), range(L.shape[1]))  # by which noise reaches x_d
         self.M: dict[Loop, list[BallMatrix]] = {
@@ -134,6 +143,7 @@ class Loops:
         self.few_cells = max(cells, watched) * N**4 <= MOST_WORK
         self.tracked: list[Form] = [("output", k) for k in range(exact.tracked.shape[0])] if output else []
         self.tracked += [] if output else [("state", k) for k in range(n)]
+        self.tracked += [form for form in limited if form not in self.tracked]
         self.inputs: list[Form] = [("input", k) for k in range(K.shape[0])]
         rows = [drive.part([k], range(N)) for k in range(n)]
         acting: list[Form] = [("coupling", k) for k, row in enumerate(rows) if row.radius or any(row.centre.entries())]
@@ -251,8 +261,8 @@ class Loops:
         elif kind == "estimate":
             delta = _column(BallMatrix(identity(self.N)), k)
         else:
-            rows = {"output": self.c, "input": self.K, "drive": self.K}.get(kind, BallMatrix(identity(self.n)))
-            e = _column(rows.transpose(), k)
+            of = {"output": self.c, "measured": self.C, "input": self.K, "drive": self.K}
+            e = _column(of.get(kind, BallMatrix(identity(self.n))).transpose(), k)
         if kind in ("input", "drive"):
             loads = BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1))
             if kind == "drive":  # less what estimates of loads at this input take off it

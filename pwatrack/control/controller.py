@@ -17,7 +17,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
-from pwatrack.control.headroom import Headroom
+from pwatrack.control.headroom import Headroom, SignalRoom
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
@@ -41,6 +41,7 @@ class Asked:
 
     words: Words  # what it is called, and the goals of its gains
     room: Headroom | None  # what the feedforward leaves of the limits of inputs, where there are some
+    signals: SignalRoom | None  # what the reference leaves of those of outputs and states, where there are some
     box: Box  # parameters that are uncertain
     corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
     solver: Solver = "structured"  # who is asked for what is proved later

@@ -5,7 +5,7 @@ With P ⪰ z zᵀ for all these errors z, the inequality of the decay and [ū_j�
 1994, section 7.2.3).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
@@ -140,6 +141,23 @@ class InputConstraint:
         some = left > 0  # where nothing is left H is 0
         shares = [0.0 if one is None else float(1 / (np.array(one.sizes)[some] / left[some]).max()) for one in found]
         return min(shares)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalRoom:
+    """Limits of outputs and states, and what the reference takes of them: what it leaves is room for errors.
+
+    Attributes:
+        names: What has limits.
+        forms: What of x each is.
+        room: The limits, and what x_d takes of them.
+        acting: How large each disturbance and noise of the file is.
+    """
+
+    names: tuple[str, ...]
+    forms: tuple[Form, ...]
+    room: "Headroom"
+    acting: Mapping[Channel, float]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """How signals, what acts on them, and numbers are written: the same in files, at the terminal and in pictures."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_FLOOR, Context
 from typing import Literal
@@ -30,11 +30,22 @@ class Words:
         """Return a signal that is bounded, as text, and its unit."""
         kind, k = form
         plant = self.plant
-        named = {"output": plant.tracked_names, "input": plant.inputs}.get(kind, plant.states)
+        of = {"output": plant.tracked_names, "measured": plant.outputs, "input": plant.inputs}
+        named = of.get(kind, plant.states)
         loads = {} if plant.loads is None else dict(zip(plant.loads.where, plant.loads.names, strict=True))
         name = named[k] if k < len(named) else loads[k - len(named)]
         texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
         return texts.get(kind, f"{name} - {name}_d"), self.units.get(name, "")
+
+    def form(self, name: str) -> Form:
+        """Return what a name of something tracked, of a state or of a measured output stands for; in this order."""
+        plant = self.plant
+        of: Mapping[Literal["output", "state", "measured"], Sequence[str]] = {
+            "output": plant.tracked_names,
+            "state": plant.states,
+            "measured": plant.outputs,
+        }
+        return next((kind, names.index(name)) for kind, names in of.items() if name in names)
 
     def cause(self, channel: Channel, *, uncertain: bool = False) -> tuple[Kind, str, str]:
         """Return what acts: its kind, where or what it is, and its unit. On dv/dt that is the one of v per second."""

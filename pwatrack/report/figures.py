@@ -13,6 +13,7 @@ from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.sampled_runs import sampling_remarks
+from pwatrack.spec.requirement import RANGES
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.tracking import reference_remarks
@@ -28,7 +29,7 @@ SIMULATED = (  # the figures that no proof decides
 def measures(result: SimulatedLoop) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
     figures = asdict(result.figures)
-    del figures["sampled"]
+    figures = {name: value for name, value in figures.items() if name != "sampled" and (value or name not in RANGES)}
     if (steady := result.steady_state) is not None:
         largest = float(np.abs(steady.multipliers).max())
         figures |= zip(_OF_STEADY_STATE, (largest, steady.residual), strict=True)

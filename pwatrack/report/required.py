@@ -117,7 +117,8 @@ def _checked(
     best = asked.quantity.best
     worst = max(values, key=lambda k: values[k] if best == "at most" else -values[k])
     kept = sum(asked.met(value) and k not in sampled for k, value in values.items())
-    label = f"{asked.subject[-1]} of {signal}" if signal else asked.figure
+    of_range = asked.quantity.per == "limited"
+    label = f"{asked.figure if of_range else asked.subject[-1]} of {signal}" if signal else asked.figure
     came, limit = _texts(values[worst], asked.limit, unit)
     came += " at the samples, not known between them" * (worst in sampled)
     if asked.share is None:

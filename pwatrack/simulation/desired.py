@@ -1,4 +1,4 @@
-"""x_d(t) by itself: the cells that it visits, what must hold along it for Theorem 2, (3), and the peaks of u_ff."""
+"""x_d(t) by itself: the cells that it visits, what must hold along it for Theorem 2, (3), and peaks of signals."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -146,19 +146,20 @@ def _problems(
     ]
 
 
-def feedforward_peak(
-    plant: PWASystem, trajectory: DesiredTrajectory, start: Array | None, duration: float
+def desired_peak(
+    plant: PWASystem, trajectory: DesiredTrajectory, gains: Array, start: Array | None, duration: float
 ) -> Peak | None:
-    """Return the largest and smallest u_ff from t = 0 to the end, and when.
+    """Return the largest and smallest of signals along x_d from t = 0 to the end, and when.
 
-    They are enclosed at all times, between samples, where x_d crosses a facet and where signals have new pieces: no
-    u_ff is above what is said, and that is at most 1e-6 of the largest above one that there is. It begins at η̂(0), (p,)
-    if that matters. None is returned where x_d takes too long to follow or does not stay within numbers.
+    They are enclosed at all times, between samples, where x_d crosses a facet and where signals have new pieces: none
+    is above what is said, and that is at most 1e-6 of the largest above one that there is. `gains` make them of
+    (η̂, w, 1) in each cell, (l, m, S): u_ff, or rows of x_d. It begins at η̂(0), (p,) if that matters. None is returned
+    where x_d takes too long to follow or does not stay within numbers.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     duration = duration if system.end is None else min(duration, system.end)
     segments: Iterable[Segments]
-    if w_alone(trajectory):
+    if w_alone(gains, p):
         segments = [along(system, duration, before=p)]
     elif start is None and p:
         return None
@@ -166,17 +167,16 @@ def feedforward_peak(
         flow, z0 = desired_flow(plant, trajectory), np.concatenate([np.zeros(0) if start is None else start, system.w0])
         segments = (Segments.of(flow, block) for block in blocks(plant, trajectory, np.append(z0, 1.0), duration))
     try:
-        found = enclosed(segments, lambda mode: trajectory.u_ff[mode[0]])
+        found = enclosed(segments, lambda mode: gains[mode[0]])
     except (CheckFailed, Undecided):
         return None
     bounded = np.isfinite([found.low, found.high]).all()
     return Peak(low=found.low, high=found.high, times=found.times) if bounded else None
 
 
-def w_alone(trajectory: DesiredTrajectory) -> bool:
-    """Say whether neither η̂ nor the cell of x_d matters to u_ff."""
-    gains = trajectory.u_ff
-    return not gains[:, :, : trajectory.rate.shape[1]].any() and not (gains - gains[0]).any()
+def w_alone(gains: Array, p: int) -> bool:
+    """Say whether neither η̂, (p,), nor the cell of x_d matters to what such gains make of (η̂, w, 1), (l, m, S)."""
+    return not gains[:, :, :p].any() and not (gains - gains[0]).any()
 
 
 def along(system: Exosystem, duration: float, *, before: int = 0) -> Segments:

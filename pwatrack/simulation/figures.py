@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.control.bounds import Form
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.enclosure import Enclosing, Segments, Transitions
 from pwatrack.simulation.flow import Mode
@@ -18,6 +19,7 @@ from pwatrack.simulation.trace import last_tenth
 _STILL = 1e-9  # of the size of a signal: by less it does not move
 _BAND = 0.02  # of what an output has to go, or of the amplitude of its reference
 _RISES = 0.1, 0.9  # of the way
+_RANGE = "range"  # of what has limits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,8 @@ class Figures:
     # the reference comes to rest, and h is not 0.
     rise_time: Mapping[str, float]
     overshoot: Mapping[str, float]  # how far each output goes beyond y_∞, as a share of |h|. Likewise.
+    lowest: Mapping[str, float] = field(default_factory=dict)  # how low and how high what has limits gets, by name
+    highest: Mapping[str, float] = field(default_factory=dict)
     sampled: tuple[str, ...] = ()  # which sizes are at the samples only, by these names: to enclose them took too long
 
     @staticmethod
@@ -56,9 +60,18 @@ class Figures:
         inputs: Sequence[str],
         bands: Mapping[str, float],
         states: Sequence[str] = (),
+        limited: Mapping[str, Form] | None = None,
     ) -> "Figures":
         """Return the figures of a run that is all in memory; see `Measuring`."""
-        measuring = Measuring(len(response.t), outputs=outputs, inputs=inputs, bands=bands, states=states, loop=loop)
+        measuring = Measuring(
+            len(response.t),
+            outputs=outputs,
+            inputs=inputs,
+            bands=bands,
+            states=states,
+            limited=limited or {},
+            loop=loop,
+        )
         measuring.see(response)
         return measuring.figures([response])
 
@@ -156,7 +169,8 @@ class Measuring:
     """Measures a run of so many samples block by block.
 
     An output counts as settled within the band of its name, in its unit, where that is given. States are named where
-    they follow x_d. Without the loop that runs no more is known of sizes than the samples show.
+    they follow x_d; of what has limits it is told how low and how high it gets. Without the loop that runs no more is
+    known of sizes than the samples show.
     """
 
     samples: int
@@ -164,6 +178,7 @@ class Measuring:
     inputs: Sequence[str]
     bands: Mapping[str, float]
     states: Sequence[str] = ()
+    limited: Mapping[str, Form] = field(default_factory=dict)
     loop: ClosedLoop | None = None
     _number: int = 0
     _sizes: _Sizes = field(default_factory=dict)  # at the samples
@@ -172,6 +187,9 @@ class Measuring:
     _last_tenth: float = 0.0  # when it began
     _visited: set[Mode] = field(default_factory=set)
     _within: dict[str, Enclosing] = field(default_factory=dict)  # at all times
+    _range: Array = field(
+        default_factory=lambda: np.zeros((2, 0))
+    )  # lowest and highest at the samples, of what has limits
 
     def __post_init__(self) -> None:
         self._moves = [Move(self.bands.get(name)) for name in self.outputs]
@@ -184,6 +202,12 @@ class Measuring:
             for name in ("final_errors", "largest_errors") if len(each) > 1 else ():
                 self._within[name] = Enclosing(lambda _: each, turns=turns)
             self._within["largest_input"] = Enclosing(self.loop.inputs, turns=turns)
+            if self.limited:
+                x, plant = np.eye(self.loop.at.order)[self.loop.at.x], self.loop.plant
+                of = {"output": plant.tracked, "measured": plant.C}
+                rows = np.array([of[kind][k] @ x if kind in of else x[k] for kind, k in self.limited.values()])
+                self._within[_RANGE] = Enclosing(lambda _: rows, turns=turns)
+        self._range = np.full((2, len(self.limited)), [[np.inf], [-np.inf]])
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -201,6 +225,10 @@ class Measuring:
             "largest_input": np.abs(block.u).max(axis=0),
         }
         self._sizes = {name: np.maximum(self._sizes.get(name, 0.0), most) for name, most in seen.items()}
+        of = {"output": block.tracked, "measured": block.y, "state": block.x}
+        for j, (kind, k) in enumerate(self.limited.values()):
+            values = of[kind][:, k]
+            self._range[:, j] = min(self._range[0, j], values.min()), max(self._range[1, j], values.max())
         self._observer = float(block.observer_error[-1])
         self._changes += len(block.trace.events)
         self._visited |= block.trace.visited()
@@ -225,7 +253,9 @@ class Measuring:
                 move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
         known = self._enclosed()
         sizes = {name: np.maximum(size, known.get(name, 0.0)).tolist() for name, size in self._sizes.items()}
-        signals = (*self.outputs, *self.states)
+        signals, between = (*self.outputs, *self.states), self._between()
+        ends = zip(("lowest", "highest"), (self._range if between is None else between).tolist(), strict=True)
+        ranges = {name: dict(zip(self.limited, values, strict=True)) for name, values in ends}
         return Figures(
             final_error=sizes["final_error"][0],
             largest_error=sizes["largest_error"][0],
@@ -242,12 +272,21 @@ class Measuring:
                 if move.distance
             },
             overshoot={name: move.overshoot for name, move in moves.items() if move.distance},
-            sampled=tuple(name for name in sizes if name not in known),
+            **ranges,
+            sampled=(*(name for name in sizes if name not in known), *(ranges if between is None else ())),
         )
+
+    def _between(self) -> Array | None:
+        """Return how low and how high what has limits gets at all times, (2, q); None where that is not known."""
+        if _RANGE not in self._within:
+            return None if self.limited else self._range
+        found = self._within[_RANGE].range()
+        both = np.array([found.low, found.high])
+        return both if np.isfinite(both).all() else None
 
     def _enclosed(self) -> _Sizes:
         """Return which sizes are no larger between samples than what; those of which that is not known are left out."""
-        ranges = {name: within.range() for name, within in self._within.items()}
+        ranges = {name: within.range() for name, within in self._within.items() if name != _RANGE}
         for name in ("final_error", "largest_error") if ranges else ():
             ranges.setdefault(f"{name}s", ranges[name])  # of a single entry
         sizes = {name: np.maximum(found.high, -found.low) for name, found in ranges.items()}

@@ -132,7 +132,8 @@ def _scale(value: Any, info: ValidationInfo[Context]) -> float | dict[str, float
     return _number(value, info)
 
 
-def _limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
+def two_limits(value: Any, info: ValidationInfo[Context]) -> list[float]:
+    """Return a lower and an upper limit, infinite where there is none."""
     if not isinstance(value, list) or len(value) != 2:
         raise ValueError("a lower and an upper limit such as [-1, 1] are expected; .inf for none")
     low, high = (_INFINITE[v] if isinstance(v, str) and v in _INFINITE else _number(v, info) for v in value)
@@ -217,7 +218,7 @@ def whole(low: int, high: int | None = None) -> WithJsonSchema:
     return WithJsonSchema({"type": ["integer", "string"], "minimum": low} | ({} if high is None else {"maximum": high}))
 
 
-_UPWARD = _PAIR | {"not": _reversed("minimum", "maximum")}
+UPWARD = _PAIR | {"not": _reversed("minimum", "maximum")}
 _NOT_DOWNWARD = _PAIR | {
     "not": {"anyOf": [_reversed("minimum", "exclusiveMaximum"), _reversed("exclusiveMinimum", "maximum")]}
 }
@@ -269,7 +270,7 @@ _KIND = Discriminator(
 StartOrMeasured = Annotated[Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, _KIND]
 StartOrSteady = Annotated[Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, _KIND]
 ShareOrInterval = Annotated[
-    Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, _UPWARD]})
+    Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, UPWARD]})
 ]
 Interval = Annotated[
     list[Number],
@@ -282,7 +283,7 @@ PeriodicOrVector = Annotated[
     PlainValidator(_start),
     WithJsonSchema({"anyOf": [{"const": "periodic"}, {"type": "array", "items": _VALUE}]}),
 ]
-Limits = Annotated[list[float], PlainValidator(_limits), WithJsonSchema(_UPWARD)]
+Limits = Annotated[list[float], PlainValidator(two_limits), WithJsonSchema(UPWARD)]
 Scale = Annotated[
     float | dict[str, float],
     PlainValidator(_scale),

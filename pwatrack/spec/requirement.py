@@ -1,14 +1,15 @@
 """What a run may be required to achieve: the figures of run.json by name, and limits of them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any, Literal
 
 from pydantic import ValidationInfo
 
 from pwatrack.causes import Subject
 from pwatrack.simulation.enclosure import CLOSE
-from pwatrack.spec.entries import sized_real
+from pwatrack.spec.entries import sized_real, two_limits
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.section import Context, Fault, Faults
 from pwatrack.spec.wording import guess, shown
@@ -24,8 +25,8 @@ class Quantity:
 
     of: Literal["design", "run", "member"]  # "member": each of an ensemble, and the run itself
     best: Literal["at most", "at least"] = "at most"  # whether a requirement is its largest value or its smallest
-    # of which each has its own; "errors": of what follows a reference
-    per: Literal["outputs", "inputs", "errors"] | None = None
+    # of which each has its own; "errors": of what follows a reference; "limited": of what has limits
+    per: Literal["outputs", "inputs", "errors", "limited"] | None = None
     each: str | None = None  # the figure that is the same of each signal by itself: limits by name are about that
     unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""  # its unit, or which unit that is
     share: bool = False  # whether it is a share, that may be written in percent
@@ -56,6 +57,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "largest_multiplier": Quantity("run"),
     "steady_state_residual": Quantity("run"),
 }
+RANGES: Mapping[str, Quantity] = {  # what `limits` are about
+    "lowest": Quantity("member", "at least", per="limited", unit="of the signal", known=_ENCLOSED),
+    "highest": Quantity("member", per="limited", unit="of the signal", known=_ENCLOSED),
+}
+LIMITS = "limits"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,16 +73,17 @@ class Requirement:
     limit: float  # the largest value that is allowed, or the smallest
     share: float | None  # of the members of an ensemble that must keep it; None where it is about the run itself
     subject: Subject
+    other: float = 0.0  # the limit on the other side of a signal, where it has one: the figure is known to that too
 
     @property
     def quantity(self) -> Quantity:
         """What the figure is."""
-        return QUANTITIES[self.figure]
+        return RANGES.get(self.figure) or QUANTITIES[self.figure]
 
     def met(self, value: float) -> bool:
         """Whether a value keeps the limit, but for what it is known to."""
         sign = 1.0 if self.quantity.best == "at most" else -1.0
-        return sign * value <= sign * self.limit + self.quantity.known * abs(self.limit)
+        return sign * value <= sign * self.limit + self.quantity.known * max(abs(self.limit), abs(self.other))
 
 
 def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Requirement, ...]:
@@ -97,6 +104,8 @@ def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Require
             try:
                 if inside and name == "members":
                     share = _share(value, info.context)
+                elif name == LIMITS:
+                    found += _ranges(value, info, share if inside else None, at)
                 elif inside or name != "ensemble":
                     quantity, of = _quantity(name, inside=bool(inside)), share if inside else None
                     figure = name
@@ -108,6 +117,8 @@ def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Require
                     ]
             except BrokenParameter:
                 continue  # said where the parameter stands
+            except Faults as several:
+                faults += several.faults
             except ValueError as fault:
                 faults.append(Fault(f": {fault}{fault.guess if isinstance(fault, UnknownName) else ''}", at))
     if faults:
@@ -118,12 +129,41 @@ def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Require
 def _quantity(name: str, *, inside: bool) -> Quantity:
     """Return what the figure of a name is; `inside` what each member of an ensemble is to achieve."""
     known = [name for name, quantity in QUANTITIES.items() if quantity.of == "member" or not inside]
-    if name in known:
+    known.append(LIMITS)
+    if name in QUANTITIES and name in known:
         return QUANTITIES[name]
     if name in QUANTITIES:
         raise ValueError(f"a member of an ensemble has no such figure of its own: put it under '{_HERE}' itself")
     meant = guess(name, [*known, "members" if inside else "ensemble"])
     raise ValueError(f"no figure has this name{meant or '; there are ' + ', '.join(known)}")
+
+
+def _ranges(value: Any, info: ValidationInfo[Context], share: float | None, at: Subject) -> list[Requirement]:
+    """Return what limits of outputs and states ask of how low and how high each of them gets."""
+    if not isinstance(value, Mapping) or not value:
+        raise ValueError("limits of outputs or states by name are expected, for example {y: [0, 0.4]}")
+    names, found, faults = info.context.limited, list[Requirement](), list[Fault]()
+    for signal, ends in value.items():
+        here = (*at, signal)
+        if signal not in names:
+            of_input = "; limits of inputs stand under simulation: actuator" if signal in info.context.inputs else ""
+            text = f"{shown(signal)} is no output or state ({', '.join(names)}){of_input or guess(signal, names)}"
+            faults.append(Fault(f": {text}", here))
+            continue
+        try:
+            both = two_limits(ends, info)
+        except BrokenParameter:
+            continue
+        except ValueError as fault:
+            faults.append(Fault(f": {fault}", here))
+            continue
+        finite = [limit for limit in both if isfinite(limit)]
+        for figure, limit in zip(RANGES, both, strict=True):
+            asked = Requirement(figure=figure, signal=signal, limit=limit, share=share, subject=(_HERE, *here))
+            found += [replace(asked, other=max(finite, key=abs))] if isfinite(limit) else []
+    if faults:
+        raise Faults(faults)
+    return found
 
 
 def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str | None, float]]:

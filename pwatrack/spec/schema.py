@@ -13,10 +13,10 @@ from pwatrack.errors import Problem
 from pwatrack.model.pwa import ROUNDING
 from pwatrack.spec.axis import SweepSection
 from pwatrack.spec.design_section import DesignSection
-from pwatrack.spec.entries import ExitNumber, Label, Name, Rounding
+from pwatrack.spec.entries import UPWARD, ExitNumber, Label, Name, Rounding
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.plant_section import SystemSection
-from pwatrack.spec.requirement import QUANTITIES, Requirement, read_requirements
+from pwatrack.spec.requirement import LIMITS, QUANTITIES, Requirement, read_requirements
 from pwatrack.spec.section import MOST, Context, Fault, Faults, Section, named
 from pwatrack.spec.signal_section import ReferenceSection
 from pwatrack.spec.simulation_section import SimulationSection
@@ -93,9 +93,13 @@ def json_schema() -> dict[str, Any]:
     figures = {name: {"description": quantity.best, **_LIMIT} for name, quantity in QUANTITIES.items()}
     of_members = {name: figures[name] for name, quantity in QUANTITIES.items() if quantity.of == "member"}
     members = {"members": {"description": "All of them, or a share.", **_VALUE, "exclusiveMinimum": 0, "maximum": 1}}
+    between = {"type": "object", "minProperties": 1, "additionalProperties": UPWARD}
+    limits = {LIMITS: {"description": "Lower and upper limit of outputs and states, by name.", **between}}
     schema["properties"]["require"] = _closed(
         "Figures that a run must keep, with their limits.",
-        figures | {"ensemble": _closed("What members of an ensemble must keep.", members | of_members)},
+        figures
+        | limits
+        | {"ensemble": _closed("What members of an ensemble must keep.", members | of_members | limits)},
     )
     schema["allOf"] = [_needs("state", {"not": {"required": ["output"]}}), _needs("output", {"required": ["output"]})]
     about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A spec of pwatrack"}

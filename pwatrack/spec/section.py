@@ -67,6 +67,11 @@ class Context:
         return (*self.followed, *self.states) if self.tracking == "state" else self.followed
 
     @property
+    def limited(self) -> tuple[str, ...]:
+        """What may have limits beside inputs: what follows a reference, outputs and states."""
+        return (*dict.fromkeys((*self.followed, *self.outputs, *self.states)),)
+
+    @property
     def ports(self) -> tuple[str, ...]:
         """What a controller writes and reads."""
         return (*self.inputs, *self.outputs)

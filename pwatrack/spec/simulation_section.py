@@ -28,6 +28,7 @@ _MOST_SAMPLES = 10_000_000  # more are hours of a run, and gigabytes of its trac
 _MOST_TICKS = 2_000_000  # all of them are kept in memory
 _MOST_LATE = 10  # samples: each adds the inputs to the states of the loop
 _RENAMED = BeforeValidator(lambda method: "emulated" if method == "exponential" else method)  # as before
+_OF_INPUTS = " ({}); limits of outputs and states stand under require: limits"
 _OF_STATES = named("state", "states", "; states: {}")
 
 
@@ -51,7 +52,7 @@ class PlantSection(Section):
 class ActuatorSection(Section):
     """Lower and upper limit of inputs, by name."""
 
-    limits: Annotated[dict[str, Limits], Field(min_length=1), named("input", "inputs")]
+    limits: Annotated[dict[str, Limits], Field(min_length=1), named("input", "inputs", _OF_INPUTS)]
 
 
 class NoiseSection(Section):

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +21,7 @@ from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.simulation.region import Region
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
-from pwatrack.spec.requirement import Requirement
+from pwatrack.spec.requirement import RANGES, Requirement
 from pwatrack.spec.spelling import located
 
 
@@ -147,7 +148,19 @@ class Spec:
         """What a run of it is measured with: arguments of `Measuring`."""
         plant, follow = self.problem.plant, self.problem.tracking == "state"
         names = {"outputs": plant.tracked_names, "inputs": plant.inputs, "states": plant.states if follow else ()}
-        return {**names, "bands": self.scenario.bands}
+        limited = {name: self.words.form(name) for name in self.limited}
+        return {**names, "bands": self.scenario.bands, "limited": limited}
+
+    @property
+    def limited(self) -> dict[str, tuple[float, float]]:
+        """Lower and upper limit of each output or state that has some, infinite on one side where it has none there."""
+        found = dict[str, tuple[float, float]]()
+        for asked in self.requirements:
+            if asked.signal is not None and asked.figure in RANGES:
+                low, high = found.get(asked.signal, (-inf, inf))
+                ends = (max(low, asked.limit), high) if asked.figure == "lowest" else (low, min(high, asked.limit))
+                found[asked.signal] = ends
+        return found
 
     @contextmanager
     def located(self) -> Iterator[None]:

@@ -30,7 +30,7 @@ from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, measur
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
-from pwatrack.workflow.headroom import room_within_limits
+from pwatrack.workflow.headroom import room_of_signals, room_within_limits
 from pwatrack.workflow.outcome import RunMonitor
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
@@ -83,6 +83,7 @@ def asked_of(spec: Spec, room: Headroom | None, controller: ProvedController) ->
     return Asked(
         words=spec.words,
         room=room,
+        signals=room_of_signals(spec, controller),
         box=goals.uncertain,
         corners=lambda plant: corners(problem.parametric, plant, goals.uncertain),
         solver=goals.solver,

@@ -148,7 +148,13 @@ class Loop:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         plant, K = self.plant, self.K
         n, N = len(plant.B[0]), len(plant.seen_A[0][0])
-        counts = {"output": len(plant.tracked[0]), "state": n, "estimate": N, "coupling": n}
+        counts = {
+            "output": len(plant.tracked[0]),
+            "measured": len(plant.C[0]),
+            "state": n,
+            "estimate": N,
+            "coupling": n,
+        }
         counts["input"] = counts["drive"] = len(K)
         place(k, counts[kind])
         if kind == "coupling":
@@ -156,7 +162,8 @@ class Loop:
                 raise AuditFault("what drives e is a signal of the observer's loop, where loads are estimated")
             return self.coupling.row(k)
         e = Ball([[Fraction(int(j == k and kind == "state")) for j in range(n)]])
-        e = plant.tracked.row(k) if kind == "output" else Ball([K[k]]) if kind in ("input", "drive") else e
+        e = Ball([K[k]]) if kind in ("input", "drive") else e
+        e = {"output": plant.tracked, "measured": plant.C}[kind].row(k) if kind in ("output", "measured") else e
         Delta = Ball([[Fraction(int(j == k and kind == "estimate")) for j in range(N)]])
         if kind in ("input", "drive"):
             loads = plant.at_inputs() if kind == "drive" else [-1] * (N - n)

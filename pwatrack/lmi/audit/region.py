@@ -9,7 +9,7 @@ from .matrices import AuditFault, definite, identity
 from .reading import distinct, matrix, packed
 from .shape import ROWS
 from .starts import SHAPE as STARTS
-from .starts import around, bounded, kind_of
+from .starts import around, bounded, kind_of, loop_of
 
 KEY = "regions"
 SHAPE = [STARTS[0] | {"H": ROWS}]
@@ -28,14 +28,14 @@ def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
 
 def wrong(loop: Loop, entry: Any) -> list[str]:
     """Return what is wrong with one region."""
-    name, (Q, powers), H = entry["loop"], packed(entry["Q"]), matrix(entry["H"])
+    name, (Q, powers), H = loop_of(entry), packed(entry["Q"]), matrix(entry["H"])
     wanted = kind_of(loop, name)
     inputs = [k for _, k, _ in entry["signals"]]
     if not inputs:
         raise AuditFault("a region of no input")
     if len(H) != len(inputs) or any(len(row) != len(Q) for row in H):
         raise AuditFault("the rows of a region do not fit")
-    faults = bounded(entry, wanted, [Ball([row]) for row in H], Q)
+    faults = bounded(entry, (wanted,), [Ball([row]) for row in H], Q)
     if entry["of"] == "every":
         if entry["weights"] or any(map(any, H)) or name != "controller":
             raise AuditFault("a region of every start has no starts, and no rows")

@@ -1,5 +1,6 @@
-"""From which starts inputs stay near their feedforward: ellipsoids around them that the errors do not leave."""
+"""From which starts signals stay near what they are to be: ellipsoids around them that the errors do not leave."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -10,24 +11,33 @@ from .reading import distinct, matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
 
 KEY = "limits"
+OF_STATE = ("output", "state", "measured")  # signals of x - x_d alone
 SHAPE = [of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}]
 
 
 def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
-    """Return what is wrong with the bounds of inputs from all boxes of starts, and what they claim."""
+    """Return what is wrong with the bounds of signals from all boxes of starts, and what they claim."""
     faults = [f"starts {k}: {fault}" for k, entry in enumerate(found, 1) for fault in near(loop, entry)]
-    return faults, [f"the bounds of inputs from {len(found)} boxes of starts are proved"] if found else []
+    return faults, [f"the bounds of signals with limits from {len(found)} boxes of starts are proved"] if found else []
 
 
 def near(loop: Loop, entry: Any) -> list[str]:
-    """Return what is wrong with the bounds of inputs from one box of starts, z(0) = G v, |v_k| <= 1."""
-    name, (Q, powers) = entry["loop"], packed(entry["Q"])
-    wanted = kind_of(loop, name)
+    """Return what is wrong with the bounds of signals from one box of starts, z(0) = G v, |v_k| <= 1."""
+    name, (Q, powers) = loop_of(entry), packed(entry["Q"])
+    of_state = bool(entry["signals"]) and all(kind in OF_STATE for kind, *_ in entry["signals"])
+    wanted = OF_STATE if of_state else (kind_of(loop, name),)
     faults = around(entry, Q)
     faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, None)]
-    rows = [loop.row(name, kind, k) for kind, k, _ in entry["signals"] if kind == wanted]
+    rows = [loop.row(name, kind, k) for kind, k, _ in entry["signals"] if kind in wanted]
     faults += bounded(entry, wanted, rows, Q)
     return faults if entry["signals"] else [*faults, "it bounds nothing"]
+
+
+def loop_of(entry: Any) -> str:
+    """Return the loop of an entry, which is of e, or of (e, Delta): the observer's alone tells no signal."""
+    if entry["loop"] not in ("joint", "controller"):
+        raise AuditFault(f"limits are not said of the loop '{entry['loop']}'")
+    return str(entry["loop"])
 
 
 def kind_of(loop: Loop, name: str) -> str:
@@ -50,12 +60,12 @@ def around(entry: Any, Q: Matrix) -> list[str]:
     return [] if inside else ["a start is not in the ellipsoid"]
 
 
-def bounded(entry: Any, wanted: str, rows: list[Ball], Q: Matrix) -> list[str]:
+def bounded(entry: Any, wanted: Sequence[str], rows: list[Ball], Q: Matrix) -> list[str]:
     """Return which sizes of rows are too small in an ellipsoid."""
     faults = list[str]()
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
-    if any(kind != wanted for kind, *_ in entry["signals"]):
-        raise AuditFault(f"limits of inputs are said of '{wanted}' here")
+    if any(kind not in wanted for kind, *_ in entry["signals"]):
+        raise AuditFault(f"limits are said of '{wanted[0]}' here")
     for (kind, k, size), c in zip(entry["signals"], rows, strict=True):
         value, radius = c @ Ball(Q) @ c.T
         largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)

@@ -1,0 +1,160 @@
+"""From which starts, and under what acts in a file, outputs and states keep their limits: searched, proved, said.
+
+c x = c x_d + c e. The reference takes its part of the limits, enclosed; what disturbs in the file takes |c e| ≤ Σ bound
+· size from error 0, see `control.bounds`; and from some starts an ellipsoid holds c e, see `lmi.ellipsoid`. Along one
+solution the error is linear in all of these together, so what is left after the first two is for the third.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pwatrack.arrays import OVER_SUMS, Array, number_text, up
+from pwatrack.claims.bounds import SignalBounds
+from pwatrack.claims.limits import StartGuarantee, known_before, promises
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.headroom import SignalRoom
+from pwatrack.control.words import Words, down
+
+_ROUNDING = 1e-12  # of what is left: what is subtracted is known to that
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeptLimits(Claim):
+    """Limits of outputs and states: what the reference takes of them, what disturbs, and from which starts they hold.
+
+    Attributes:
+        signals: The limits, and what the reference leaves.
+        taken: How much of it what acts in the file takes, (q,), from error 0; None where no bound is proved.
+        promises: What is proved of some starts, with what acts.
+        missing: Why nothing can be proved; "" where it can.
+    """
+
+    signals: SignalRoom
+    taken: Array | None = None
+    promises: tuple[StartGuarantee, ...] = ()
+    missing: str = ""
+
+    statement: ClassVar[str] = "Under limits too: of signals of x, how far from x_d they may be at any time, likewise."
+
+    @classmethod
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
+        """Yield what is proved of the limits of outputs and states, where there are some."""
+        if (signals := asked.signals) is not None:
+            yield _found(controller, signals, None)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
+        """Yield the same from what was proved before."""
+        if (signals := asked.signals) is not None:
+            yield _found(controller, signals, content)
+
+    def data(self, controller: ProvedController) -> dict[str, Any]:
+        """Return the ellipsoids, beside those of inputs."""
+        return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
+
+    @property
+    def left(self) -> Array | None:
+        """How far each signal may be from what it is to be beside what acts, (q,); None where nothing is left."""
+        left = self.signals.room.left
+        left = None if left is None or self.taken is None else (left - self.taken) * (1 - _ROUNDING)
+        return left if left is not None and (left > 0).all() else None
+
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
+        """Return by signal what the reference and what acts take, and by which scale starts may be off."""
+        signals, left = self.signals, self.left
+        peak = signals.room.peak
+        each = {
+            name: {
+                "limits": [float(v) if np.isfinite(v) else None for v in signals.room.limits[k]],
+                "reference": None if peak is None else [float(peak.low[k]), float(peak.high[k])],
+                "acting": None if self.taken is None else float(self.taken[k]),
+                "left": None if left is None else float(left[k]),
+            }
+            for k, name in enumerate(signals.names)
+        }
+        said = [] if left is None else [p.figures(left, signals.names) for p in self.promises]
+        return {"kept_limits": {"signals": each, "starts": said, "missing": self.missing}}
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield what the reference and what acts leave of each limit, and from which starts all are kept."""
+        texts = [*self._takes(words), *self._kept(words, controller)]
+        yield from ((label, text) for label, text in zip(["kept", *[""] * len(texts)], texts, strict=False))
+
+    def _takes(self, words: Words) -> Iterator[str]:
+        """Yield what is taken of each limit."""
+        signals, peak = self.signals, self.signals.room.peak
+        for k, name in enumerate(signals.names):
+            unit = words.units.get(name, "")
+            said = f"{name} {_between(*signals.room.limits[k].tolist())} {unit}".rstrip()
+            if peak is None:
+                yield f"{said}: x_d takes too long to follow, so what the reference takes is not known"
+                continue
+            span = f"the reference takes {number_text(float(peak.low[k]), '.4g')} to "
+            span += f"{number_text(float(peak.high[k]), '.4g')} {unit}".rstrip()
+            over = float(peak.left(signals.room.limits)[k])
+            leaves = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit"
+            if signals.acting and self.taken is not None:
+                much = f"{up(float(self.taken[k]))} {unit}".rstrip()
+                leaves += f"; what acts in this file takes at most {much}"
+            yield f"{said}: {span}, which {leaves}"
+
+    def _kept(self, words: Words, controller: ProvedController) -> Iterator[str]:
+        """Yield from which starts all limits are kept, and which of them binds."""
+        left, signals = self.left, self.signals
+        kept = "these limits are kept" + (" for good" if signals.room.ever else " in this run")
+        acting = ", with what acts in this file," if signals.acting else " while nothing disturbs"
+        for promise in self.promises if left is not None else ():
+            assert left is not None
+            starts = promise.said(left, loads=controller.plant.loads is not None)
+            binds = f"; {signals.names[promise.binds(left)]} binds" if np.isfinite(promise.scale(left)) else ""
+            yield f"in the loop as designed {kept}{acting} from {starts}{binds}"
+        if left is None or not self.promises:
+            yield f"from which starts {kept} is not proved{': ' * bool(self.missing)}{self.missing}"
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield whether they are kept from the start of the run, where that is proved of the loop that runs."""
+        left, names = self.left, ", ".join(self.signals.names)
+        acting = ", with what acts in this file" if self.signals.acting else " while nothing disturbs"
+        for promise in self.promises if words.conditions.sampling is None else ():
+            if left is not None and promise.starts.kind == "run" and promise.scale(left) >= 1:
+                yield "guarantee", f"limits of {names} kept from this start{acting} (proved)"
+
+
+def _between(low: float, high: float) -> str:
+    """Say two limits, or the one that there is."""
+    if np.isfinite([low, high]).all():
+        return f"from {number_text(low, 'g')} to {number_text(high, 'g')}"
+    return f"at least {number_text(low, 'g')}" if np.isfinite(low) else f"at most {number_text(high, 'g')}"
+
+
+def _found(controller: ProvedController, signals: SignalRoom, content: Mapping[str, Any] | None) -> KeptLimits:
+    """Return what is known, searched for where there is no certificate."""
+    room, missing = signals.room, ""
+    if controller.running is not controller.plant:
+        missing = "cells are merged"
+    elif controller.trajectory.preview is not None:
+        missing = "x_d is played back"
+    elif room.left is None:
+        missing = "the reference leaves nothing of a limit, or is not known"
+    if missing:
+        return KeptLimits(signals=signals, missing=missing)
+    claim = KeptLimits(signals=signals, taken=_taken(controller, signals))
+    if claim.left is None:
+        return KeptLimits(signals=signals, taken=claim.taken, missing="what disturbs may take all that is left")
+    starts, known = (room.starts, None) if content is None else known_before(content, room.starts, "state")
+    found = promises(controller, claim.left, starts, known, forms=signals.forms)
+    return KeptLimits(signals=signals, taken=claim.taken, promises=found)
+
+
+def _taken(controller: ProvedController, signals: SignalRoom) -> Array | None:
+    """Return what all that acts in a file does to each signal from error 0, (q,); None where a bound is missing."""
+    if not signals.acting:
+        return np.zeros(len(signals.forms))
+    each = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
+    if not all(form in each[channel] for channel in signals.acting for form in signals.forms):
+        return None
+    sums = [sum(each[channel][form] * size for channel, size in signals.acting.items()) for form in signals.forms]
+    return np.array(sums) * OVER_SUMS
