@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pwatrack import design, load_spec
-from pwatrack.simulation.margins import loop_margins, worst
+from pwatrack.simulation.margins import loop_margins, response, worst
 from pwatrack.simulation.modes import Mode, modes
 
 control = pytest.importorskip("control")
@@ -61,6 +61,16 @@ def test_the_worst_has_the_least_of_each(found) -> None:  # type: ignore[no-unty
     assert least.phase == min(one.phase for one in margins)
     assert least.gain[1] == min(one.gain[1] for one in margins)
     assert worst([]) is None
+
+
+def test_a_pole_that_a_search_comes_upon_to_the_last_bit_is_passed_by() -> None:
+    """1 / (s² + 4) has no value at ω = 2; beside it it is larger than 1 / (4 · 2 · 1e-14), elsewhere it is as it was."""
+    A, b, c = np.array([[0.0, 1.0], [-4.0, 0.0]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.solve(2j * np.eye(2) - A, b)
+    found = response(A, b, c, np.array([1.0, 2.0, 3.0]))
+    assert abs(found[1]) > 1e13
+    assert found[[0, 2]] == pytest.approx([1 / 3, -1 / 5])
 
 
 def test_modes_have_frequency_damping_and_time_constant() -> None:

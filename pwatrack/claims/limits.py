@@ -173,7 +173,7 @@ class NoSaturation(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what the limits leave beside the feedforward, and from which starts none is reached."""
-        texts = [*self._takes(words), *self._reaches(loads=controller.plant.loads is not None)]
+        texts = [*self._takes(words), *self._reaches(words, loads=controller.plant.loads is not None)]
         yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
 
     def _takes(self, words: Words) -> Iterator[str]:
@@ -197,7 +197,7 @@ class NoSaturation(Claim):
                 left = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit: nothing is left"
                 yield f"{said}: {takes}, which {left} for what is off"
 
-    def _reaches(self, *, loads: bool) -> Iterator[str]:
+    def _reaches(self, words: Words, *, loads: bool) -> Iterator[str]:
         """Yield from which starts no limit is reached: ever, or in this run where more may be taken after it."""
         left = self.room.left
         if left is None:
@@ -205,7 +205,9 @@ class NoSaturation(Claim):
         never = "no limit is ever reached" if self.room.ever else "no limit is reached in this run"
         for promise in self.promises:
             starts = promise.said(left, loads=loads)
-            yield f"in the loop as designed {never} from {starts}"
+            several = len(promise.inputs) > 1 and np.isfinite(promise.scale(left))
+            binds = f"; {words.plant.inputs[promise.binds(left)]} binds" if several else ""
+            yield f"in the loop as designed {never} from {starts}{binds}"
         if not self.promises:
             yield f"from which starts {never} could not be proved"
 

@@ -4,12 +4,13 @@ They are read off the loop transfer in floating point, and are about one cell th
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 from pwatrack.control.controller import ProvedController
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.modes import NOTHING
@@ -18,6 +19,7 @@ _POINTS = 400  # of a grid of frequencies, beside those around each mode
 _BEYOND = 100.0  # times the fastest mode and below the slowest it goes
 _AROUND = np.linspace(-5.0, 5.0, 11)  # half widths of a resonance that are looked at
 _BESIDE = 1 + 1e-7  # at a mode that is not damped there is no L(jω)
+_NEXT = 8 * EPS  # of a frequency: by no more are ω and its neighbours apart
 _ROUNDS = 40  # of halving the interval of a crossing
 _MOST_WORK = 3_000_000_000  # cells · inputs · frequencies · order³: a few seconds
 
@@ -94,8 +96,7 @@ def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
     opened = M - np.outer(g, row)
 
     def transfer(frequencies: Frequencies) -> NDArray[np.complex128]:
-        shifted = 1j * frequencies[:, None, None] * np.eye(len(M)) - opened
-        return np.asarray(np.linalg.solve(shifted, g[:, None].astype(complex))[..., 0] @ row)
+        return response(opened, g, row, frequencies)
 
     grid = _grid(np.concatenate([np.linalg.eigvals(M), np.linalg.eigvals(opened)]))
     passing = _crossings(transfer, grid, lambda L: np.log(np.abs(L) + np.finfo(float).tiny))
@@ -112,6 +113,15 @@ def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
         delay=float(np.min(np.mod(angles, 2 * np.pi) / passing, initial=np.inf)),
         crossover=float(passing.max(initial=0.0)),
     )
+
+
+def response(A: Array, b: Array, c: Array, frequencies: Frequencies) -> NDArray[np.complex128]:
+    """Return c (jω − A)⁻¹ b; where one of these ω, in rad/s, is a pole to the last bit, all for the next doubles."""
+    for omega in (frequencies, frequencies * (1 + _NEXT), frequencies * (1 - _NEXT)):
+        shifted = 1j * omega[:, None, None] * np.eye(len(A)) - A
+        with suppress(np.linalg.LinAlgError):
+            return np.asarray(np.linalg.solve(shifted, b[:, None].astype(complex))[..., 0] @ c)
+    return np.full(len(frequencies), np.inf + 0j)
 
 
 def _grid(values: NDArray[np.complex128]) -> Frequencies:

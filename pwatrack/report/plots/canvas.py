@@ -68,10 +68,12 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     axes.set_axisbelow(True)
 
 
-def legend(axes: Axes, columns: int = 2) -> None:
-    """Explain the curves above the panel, each name once."""
-    handles, texts = axes.get_legend_handles_labels()
-    named = dict(zip(texts, handles, strict=True))
+def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
+    """Explain the curves above the panel, each name once; those of other panels too."""
+    named = {}
+    for panel in (axes, *others):
+        handles, texts = panel.get_legend_handles_labels()
+        named |= {text: handle for text, handle in zip(texts, handles, strict=True) if text not in named}
     axes.legend(
         list(named.values()),
         list(named),

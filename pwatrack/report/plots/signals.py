@@ -11,6 +11,7 @@ from pwatrack.arrays import Array
 from pwatrack.report.plots.canvas import ACTUAL, BAND, DESIRED, ESTIMATE, LIMIT, REQUIRED, canvas, label, legend, limits
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
+from pwatrack.spec.requirement import RANGES
 from pwatrack.workflow.result import SimulatedLoop
 
 _MOST = 12  # states in a picture
@@ -33,7 +34,8 @@ def outputs(result: SimulatedLoop) -> Figure:
 
     def lines(axes: Axes, k: int) -> list[float]:
         tracked = k < len(plant.tracked_names)
-        return _step_lines(axes, result, names[k], actual[:, k], desired[:, k]) if tracked else []
+        drawn = _step_lines(axes, result, names[k], actual[:, k], desired[:, k]) if tracked else []
+        return drawn + _limit_lines(axes, result, names[k])
 
     curves = [(actual, "output", ACTUAL), (desired, "desired", DESIRED)]
     return _over_time(result, "Outputs", names, curves, lines, ends=True)
@@ -44,7 +46,16 @@ def states(result: SimulatedLoop) -> Figure:
     response, names = result.response, result.spec.problem.plant.states[:_MOST]
     more = len(result.spec.problem.plant.states) - len(names)
     curves = [(response.x, "plant", ACTUAL), (response.x_d, "desired", DESIRED), (response.x_hat, "estimate", ESTIMATE)]
-    return _over_time(result, f"States{f', without {more} more' if more else ''}", names, curves)
+    title = f"States{f', without {more} more' if more else ''}"
+    return _over_time(result, title, names, curves, lambda axes, k: _limit_lines(axes, result, names[k]))
+
+
+def _limit_lines(axes: Axes, result: SimulatedLoop, name: str) -> list[float]:
+    """Draw the limits of an output or state, where it has some."""
+    drawn = [limit for figure in RANGES for limit in limits(result, figure, name)]
+    for limit in drawn:
+        axes.axhline(limit, label="limit", **LIMIT)
+    return drawn
 
 
 def estimates(result: SimulatedLoop) -> Figure:
@@ -142,7 +153,7 @@ def _over_time(
         inset = _zoom(axes, t[shown], styled, constant, whole=signal < k)
         if inset is not None:
             lines(inset, signal)
-    legend(panels[0], columns=5)
+    legend(panels[0], columns=5, others=panels[1:])
     return figure
 
 
