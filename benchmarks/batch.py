@@ -85,7 +85,7 @@ def overhead(small: Path, out: Path) -> None:
     import pwatrack.commands.run
     import pwatrack.report.plots.pictures
     import pwatrack.simulation.kernel  # noqa: F401
-    from pwatrack.batch.remote import done
+    from pwatrack.batch.cluster import done
     from pwatrack.batch.work import Job, simulate
     from pwatrack.claims.bounds import SignalBounds
     from pwatrack.spec.load import load_spec

@@ -40,8 +40,8 @@ from pwatrack.lmi.audit.form import normal_form
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.reading import matrix, packed
 from pwatrack.lmi.exact import Proof, prove, prove_exactly
+from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.lmi.infeasibility import refute
-from pwatrack.lmi.role import CONTROLLER
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.files import write_design, write_result
 

@@ -32,9 +32,8 @@ from pwatrack.ball_matrix import different
 from pwatrack.control.proof import prove_inequality
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
-from pwatrack.lmi.inequality import state_feedback
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, state_feedback
 from pwatrack.lmi.program import SemidefiniteProgram, largest_margin, least_violation
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import solve
 
 GAP = 1e-6

@@ -22,7 +22,7 @@ from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.synthesis import Search
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.role import CONTROLLER
+from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.lmi.saturated import SaturatedLoop
 from pwatrack.spec.load import load_spec
 from pwatrack.workflow.sizing import spec_sizes

@@ -88,8 +88,7 @@ def _export(
     if sample_time is not None and not 0 < sample_time < float("inf"):
         raise typer.BadParameter("it is no positive number", param_hint="--sample-time")
     with refusals():
-        from pwatrack.commands.export import ExportTask, export
-        from pwatrack.commands.export_fmu import export_fmu
+        from pwatrack.commands.export import ExportTask, export, export_fmu
         from pwatrack.spec.load import assignments
 
         asked |= {"parameters": assignments(parameters or []), "sample_time": sample_time}

@@ -22,9 +22,8 @@ from pwatrack.report.first_rows import first_rows
 from pwatrack.report.parameters import run_rows
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
-from pwatrack.workflow.cautions import assessed
+from pwatrack.workflow.cautions import assessed, plant_warnings
 from pwatrack.workflow.pipeline import design
-from pwatrack.workflow.plant_cautions import plant_warnings
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
 from tests.test_cli import call

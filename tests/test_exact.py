@@ -30,7 +30,7 @@ from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.proofs import check
 from pwatrack.lmi.audit.reading import matrix, number
 from pwatrack.lmi.exact import prove_exactly
-from pwatrack.lmi.role import GENERATOR
+from pwatrack.lmi.inequality import GENERATOR
 from pwatrack.rational import decimals, is_hurwitz, unreachable
 from pwatrack.report.certificate import subject_content
 from pwatrack.report.files import write_design

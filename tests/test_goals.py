@@ -31,10 +31,10 @@ from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.proofs import refuted
 from pwatrack.lmi.exact import Certificate, prove
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Impossibility, refute
 from pwatrack.lmi.polynomial import exactly
 from pwatrack.lmi.presolve import Coordinates
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import decimals, identity, is_hurwitz, is_positive_definite, scalar

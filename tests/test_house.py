@@ -10,8 +10,7 @@ from statistics import median
 
 import pytest
 
-from pwatrack.causes import ProblemPart, Remedy, Way
-from pwatrack.errors import Problem
+from pwatrack.errors import Problem, ProblemPart, Remedy, Way
 from pwatrack.spec.schema import known_keys
 from pwatrack.spec.spelling import path_of, spelled
 

@@ -19,9 +19,9 @@ from pwatrack.control.modes import check_modes
 from pwatrack.control.synthesis import gain
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible
+from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.lmi.polynomial import PolynomialLyapunov
-from pwatrack.lmi.role import CONTROLLER
 from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem

@@ -16,6 +16,7 @@ from pwatrack.commands.verify import verify
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.polynomials import polynomial as audit_polynomial
+from pwatrack.lmi.inequality import CONTROLLER, GENERATOR
 from pwatrack.lmi.polynomial import (
     Monomials,
     PolynomialLyapunov,
@@ -25,7 +26,6 @@ from pwatrack.lmi.polynomial import (
     prove_polynomial,
 )
 from pwatrack.lmi.presolve import Coordinates
-from pwatrack.lmi.role import CONTROLLER, GENERATOR
 from pwatrack.rational import floats
 from pwatrack.real import Real
 from pwatrack.report.files import write_result

@@ -28,8 +28,8 @@ from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory, Undecided
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy, refute_dichotomy
+from pwatrack.lmi.inequality import GENERATOR
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.cells import Partition
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem

@@ -13,7 +13,7 @@ from pwatrack.control.goal import AtLeast, Given, LeastCost
 from pwatrack.control.sampled_gains import sampled_gains
 from pwatrack.control.sampled_optimal import candidates, kalman, regulator
 from pwatrack.control.task import Task
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.model.conditions import Sampling
 
 A, B = np.array([[0.3, 1.0], [-2.0, -0.4]]), np.array([[0.2], [1.0]])

@@ -10,8 +10,7 @@ from pwatrack import design, load_spec
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.workflow.bands import declared
-from pwatrack.workflow.cautions import assessed
-from pwatrack.workflow.plant_cautions import plant_warnings
+from pwatrack.workflow.cautions import assessed, plant_warnings
 from tests.test_cli import call
 
 STAGE = """

@@ -16,7 +16,7 @@ from pwatrack.control.goal import AtLeast, Fastest
 from pwatrack.control.synthesis import Gains, gain, synthesize
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.plant import print_plant
 from pwatrack.workflow.sizing import spec_sizes

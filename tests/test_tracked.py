@@ -11,7 +11,7 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.claims.cost import Costs
 from pwatrack.errors import InvalidSpec
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.lmi.role import OBSERVER
+from pwatrack.lmi.inequality import OBSERVER
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.files import write_result
 from pwatrack.spec.spec import Spec

@@ -5,6 +5,6 @@ import warnings
 
 from pwatrack.cores import one_thread
 
-gc.disable()  # nothing that is imported goes again; each process begins to look, see `worker.serve`
+gc.disable()  # nothing that is imported goes again; each process begins to look, see `pool.serve`
 one_thread()
 warnings.filterwarnings("ignore", category=RuntimeWarning)  # what overflows fails the check of the result

@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from pwatrack.batch.cluster import done, received, send
 from pwatrack.batch.find import find_specs
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.record import recall, remember
-from pwatrack.batch.remote import done, received, send
 from pwatrack.batch.work import Done, Job, Work, simulate
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import Plots, sweep

@@ -10,8 +10,8 @@ from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
+from pwatrack.batch.cluster import packed, with_files
 from pwatrack.batch.pool import Lost
-from pwatrack.batch.remote import packed, with_files
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError

@@ -9,19 +9,17 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly, up
 from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.causes import ProblemPart
 from pwatrack.claims.exact_text import decimal_texts, doubles
 from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
 from pwatrack.control.words import Words
-from pwatrack.errors import Undecided
+from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.exact import unsure
-from pwatrack.lmi.inequality import weighted
+from pwatrack.lmi.inequality import CONTROLLER, Role, weighted
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import least_trace
-from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, fraction_of, is_positive_definite, scalar
 

@@ -20,8 +20,8 @@ from pwatrack.control.words import Words, all_cells, down, load_kind, matrix_tex
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
-from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, PLANT
 
 _LINE = 136  # letters of gains on the first screen, two lines: more are left to their file
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}

@@ -25,7 +25,6 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
-from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.claims.bounds import from_start, with_acting
 from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
@@ -33,11 +32,11 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row, See
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, down
-from pwatrack.errors import OutsideTheory, Undecided
+from pwatrack.errors import OutsideTheory, ProblemPart, Remedy, Undecided, Way
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.polynomial import AnyProof
-from pwatrack.model.box import Box
 from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.real import Box
 
 _CLAIM = "the proof for the uncertain parameters"
 

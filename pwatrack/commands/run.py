@@ -19,9 +19,8 @@ from pwatrack.control.program import SampledController
 from pwatrack.control.task import Task
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
 from pwatrack.export.stored import check_same, read, with_gains
-from pwatrack.lmi.inequality import Solver
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Solver
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.lmi.solve import answers, asking
 from pwatrack.report import files, summary
 from pwatrack.report.files import Effort
@@ -35,8 +34,7 @@ from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
 from pwatrack.workflow.cautions import Assessment, assessed
-from pwatrack.workflow.how_far import HowFar, how_far
-from pwatrack.workflow.largest_box import LargestBox, largest_box
+from pwatrack.workflow.how_far import HowFar, LargestBox, how_far, largest_box
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult, ensemble
 

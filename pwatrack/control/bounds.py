@@ -42,9 +42,9 @@ from pwatrack.ball_matrix import BallMatrix, above, beside
 from pwatrack.control.compensation import coupling
 from pwatrack.lmi.ellipsoid import Inner, InvariantEllipsoid, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.peak_gain import PeakGain, peak_gains
 from pwatrack.lmi.polynomial import AnyProof
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import floats, identity
 

@@ -11,7 +11,6 @@ from pwatrack.arrays import EPS, Array
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
-from pwatrack.lmi.limited_gain import LimitedFound, LimitedGain
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import (
     Solution,
@@ -20,6 +19,7 @@ from pwatrack.lmi.program import (
     smaller_gain,
     smallest_gain,
 )
+from pwatrack.lmi.saturated import LimitedFound, LimitedGain
 from pwatrack.lmi.solve import solve
 
 DIGITS = 9  # of a gain

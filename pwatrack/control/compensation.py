@@ -22,9 +22,8 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, each
-from pwatrack.causes import ProblemPart
 from pwatrack.control.realisable import pseudo_inverse
-from pwatrack.errors import OutsideTheory
+from pwatrack.errors import OutsideTheory, ProblemPart
 from pwatrack.model.loads import Loads
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem

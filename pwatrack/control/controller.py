@@ -26,11 +26,11 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.polynomial import AnyProof
-from pwatrack.model.box import Box
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.sizes import Sizes
+from pwatrack.real import Box
 
 Row = tuple[str, str]  # a label, or nothing where it is that of the row before, and a sentence
 

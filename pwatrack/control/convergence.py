@@ -7,16 +7,14 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, stack
-from pwatrack.causes import Remedy, Subject
 from pwatrack.control.refusal import conflict_text, eigenvalue_text, joined
-from pwatrack.errors import Infeasible, Problem, Undecided, listed
+from pwatrack.errors import Infeasible, Problem, Remedy, Subject, Undecided, listed
 from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
-from pwatrack.lmi.inequality import lyapunov
+from pwatrack.lmi.inequality import PLANT, Role, lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
 from pwatrack.lmi.polynomial import Found, PolynomialLyapunov, best_polynomial, degrees, prove_polynomial
 from pwatrack.lmi.presolve import Coordinates, Precise, distinct, extreme, square
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
-from pwatrack.lmi.role import PLANT, Role
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, is_hurwitz
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.refusal import conflict_text
-from pwatrack.errors import Infeasible, Undecided
+from pwatrack.errors import Infeasible, ProblemPart, Remedy, Undecided, Way
 from pwatrack.lmi.dichotomy import Dichotomy, NoDichotomy, prove_dichotomy, refute_dichotomy
+from pwatrack.lmi.inequality import GENERATOR
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
 from pwatrack.lmi.polynomial import Found
-from pwatrack.lmi.role import GENERATOR
 from pwatrack.model.normal_form import NormalForm
 
 _RANK = 1e-12  # of the largest singular value: smaller ones are rounding

@@ -23,9 +23,9 @@ from pwatrack.control.compensation import coupling
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import NoncausalTrajectory
 from pwatrack.lmi.exact import Proof, left_side
+from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER
 from pwatrack.lmi.norm import Gauge, Norm, largest_gain, largest_share
 from pwatrack.lmi.polynomial import AnyProof
-from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import Rational, floats, identity, scalar

@@ -9,14 +9,13 @@ from math import lcm
 import flint
 import numpy as np
 
-from pwatrack.causes import ProblemPart
 from pwatrack.control import refusal
 from pwatrack.control.goal import Given, Goal, demands
 from pwatrack.control.synthesis import given
 from pwatrack.control.task import Task
-from pwatrack.errors import Infeasible, OutsideTheory, Problem, PwatrackError
+from pwatrack.errors import Infeasible, OutsideTheory, Problem, ProblemPart, PwatrackError
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute, refute_by_modes
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.loads import Loads
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes

@@ -8,7 +8,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.control.synthesis import Search
 from pwatrack.control.task import Task
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.role import Role
+from pwatrack.lmi.inequality import Role
 
 _FACTORS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)  # of the rate at hand
 _SAME_RATE = 1e-3  # of a rate: what is slower by less counts as reaching it

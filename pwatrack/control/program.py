@@ -8,13 +8,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, IntArray
-from pwatrack.causes import ProblemPart
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.realisable import input_trajectory, state_trajectory
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec, Problem, ProblemPart
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.model.reference import Exosystem
 

@@ -6,17 +6,16 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, each
-from pwatrack.causes import ProblemPart
 from pwatrack.control.convergence import least_overshoot_certificate
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.task import Task
-from pwatrack.errors import Undecided
+from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import prove_exactly
+from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.lmi.polynomial import AnyProof, Found, PolynomialLyapunov, exactly
-from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 

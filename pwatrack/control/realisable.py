@@ -16,9 +16,8 @@ from scipy.linalg import block_diag
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import absolute
-from pwatrack.causes import Subject
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import OutsideTheory
+from pwatrack.errors import OutsideTheory, Subject
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.reference import Exosystem, exosystem, spectral_terms
 from pwatrack.rational import Rational, beside, decimals, floats, left_null_space, on_entries, pivots, stacked

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array, complex_text, number_text
-from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.control.task import Task
-from pwatrack.errors import Infeasible, InvalidSpec, Problem, PwatrackError, Undecided, listed
+from pwatrack.errors import Infeasible, InvalidSpec, Problem, ProblemPart, PwatrackError, Remedy, Undecided, Way, listed
 from pwatrack.lmi.dichotomy import NoDichotomy
+from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.lmi.infeasibility import Impossibility, Refutation
-from pwatrack.lmi.role import CONTROLLER
 from pwatrack.lmi.solve import asked
 from pwatrack.rational import floats, unreachable
 

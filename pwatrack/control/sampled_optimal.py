@@ -16,7 +16,7 @@ from pwatrack.control.candidates import short
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.task import Task
-from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 

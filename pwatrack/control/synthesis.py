@@ -9,19 +9,19 @@ import numpy as np
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different, places
-from pwatrack.causes import ProblemPart
 from pwatrack.control import refusal
 from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
 from pwatrack.control.convergence import best_certificate, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task, reaches
+from pwatrack.errors import ProblemPart
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.exact import Certificate
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
 from pwatrack.lmi.polynomial import Found
 from pwatrack.lmi.presolve import Precise, corners, square
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import Rational, decimals, identity, scalar

@@ -9,8 +9,8 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
 from pwatrack.lmi.exact import RATE_GIVEN, Certificate, likely_rate, of_proof, prove, prove_exactly
+from pwatrack.lmi.inequality import CONTROLLER, Role
 from pwatrack.lmi.presolve import distinct
-from pwatrack.lmi.role import CONTROLLER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import Rational

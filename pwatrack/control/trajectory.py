@@ -10,9 +10,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import EPS, Array, IntArray
-from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec, Problem, Remedy, Subject, Way
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 

@@ -8,7 +8,7 @@ from typing import Literal
 from pwatrack.arrays import Array, number_text, up
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.goal import Goal
-from pwatrack.lmi.role import Role
+from pwatrack.lmi.inequality import Role
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.loads import Load
 from pwatrack.model.pwa import PWASystem

@@ -25,11 +25,10 @@ from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import Packed, left_side, margin_of
-from pwatrack.lmi.inequality import lyapunov
+from pwatrack.lmi.inequality import Role, lyapunov
 from pwatrack.lmi.multipliers import conflict, whole
 from pwatrack.lmi.presolve import corners, extreme
 from pwatrack.lmi.program import largest_margin
-from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import solve
 from pwatrack.lmi.uncontrollable import symmetric_part_of_spectrum
 from pwatrack.rational import floats, is_positive_definite, on_rows, positive_eigenvalues

@@ -16,8 +16,8 @@ from scipy.linalg import eigh
 
 from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, absolute
+from pwatrack.lmi.inequality import Role
 from pwatrack.lmi.presolve import distinct
-from pwatrack.lmi.role import Role
 from pwatrack.rational import Rational, diagonal, floats, fraction_of, identity, is_positive_definite, rational, scalar
 
 _LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide

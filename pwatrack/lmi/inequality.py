@@ -4,7 +4,9 @@ Find P = Pᵀ and Y such that for every cell i
 
     sym(L_i P R_i) + sym(M_i Y N_i) + C_i ⪯ 0,      sym(X) = X + Xᵀ.
 
-An `Inequality` holds the coefficients and nothing else; solvers read it.
+An `Inequality` holds the coefficients and nothing else; solvers read it. All four of the paper are
+M_i P + P M_iᵀ ≺ 0 in every cell, for M_i = A_i + B K in (8), and for the transposes of A_i in (7), of A_i + L C in (9)
+and of A_ηi in (17): a `Role` says which of them something is about.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +15,8 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array, symmetric_part
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.errors import ProblemPart
 
 Solver = Literal["structured", "clarabel", "cvxopt"]
 
@@ -87,3 +91,28 @@ def quadratic_cost(A: Array, B: Array, Q_root: Array, R: Array) -> Inequality:
     constant[:, :n, :n] = -B @ np.linalg.solve(R, B.T)
     constant[:, n:, n:] = -np.eye(n)
     return Inequality(L=L, R=N, M=np.zeros((cells, 2 * n, 0)), N=N, constant=constant)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Role:
+    """What is proved to converge."""
+
+    name: str  # "controller", "observer", "generator" or "plant", as in the files that a run writes
+    claim: str  # its inequality, `"(8)"`
+    part: ProblemPart  # what a refusal of it is about
+    letter: str = ""  # the gain that it has, "K" or "L"; empty where it has none
+    transposed: bool = True  # whether M_i is the transpose of what changes errors: P, not P⁻¹, is their norm
+
+    def oriented(self, X: Array) -> Array:
+        """Return M_i of the matrix by which errors change, or the other way round; the gain of (8) of K or L too."""
+        return X.swapaxes(-1, -2) if self.transposed else X
+
+    def exact(self, X: BallMatrix) -> BallMatrix:
+        """Do the same with an exact matrix."""
+        return X.transpose() if self.transposed else X
+
+
+PLANT = Role(name="plant", claim="(7)", part=ProblemPart.PLANT)
+CONTROLLER = Role(name="controller", claim="(8)", part=ProblemPart.CONTROLLER, letter="K", transposed=False)
+OBSERVER = Role(name="observer", claim="(9)", part=ProblemPart.OBSERVER, letter="L")
+GENERATOR = Role(name="generator", claim="(17)", part=ProblemPart.CELLS)

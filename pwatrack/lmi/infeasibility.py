@@ -8,9 +8,9 @@ from scipy.linalg import null_space, orth
 
 from pwatrack.arrays import Array
 from pwatrack.lmi.dichotomy import NoDichotomy
+from pwatrack.lmi.inequality import Role
 from pwatrack.lmi.multipliers import conflict, sought, whole
 from pwatrack.lmi.presolve import Coordinates, corners
-from pwatrack.lmi.role import Role
 from pwatrack.lmi.uncontrollable import Between, seems_uncontrollable, uncontrollable_mean, uncontrollable_modes
 from pwatrack.rational import Rational, decimals, identity, scalar
 

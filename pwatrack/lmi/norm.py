@@ -102,7 +102,7 @@ class Gauge:
 
         Example: (e₁² + e₂²)² measures as the length does.
 
-            >>> from pwatrack.lmi.role import OBSERVER
+            >>> from pwatrack.lmi.inequality import OBSERVER
             >>> P = ((2**39, 0, 0), (0, 2**40, 0), (0, 0, 2**39))
             >>> proof = PolynomialProof(role=OBSERVER, degree=4, T=np.eye(2), integers=P, exponents=(0, 0, 0), N=(),
             ...     N_exponents=(), rate=1.0)

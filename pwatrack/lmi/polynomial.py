@@ -37,8 +37,8 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.cone_program import symmetric_of, upper
 from pwatrack.lmi.exact import BITS, Certificate, Packed, Proof, Whole, left_side, prove_exactly, proved_rate, whole
+from pwatrack.lmi.inequality import Role
 from pwatrack.lmi.presolve import Coordinates
-from pwatrack.lmi.role import Role
 from pwatrack.lmi.solve import semidefinite
 from pwatrack.rational import Rational, is_positive_definite
 

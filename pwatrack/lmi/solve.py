@@ -1,17 +1,21 @@
 """Who is asked for a solution. What comes back proves nothing before it is looked at."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
+import numpy as np
+
 from pwatrack.arrays import Array
 from pwatrack.lmi import cone_program, primal_dual
+from pwatrack.lmi.cone_program import symmetric_of, upper
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
 Found = TypeVar("Found")
+Unknowns = Mapping[str, Array]  # each (c, …)
 
 _asked: ContextVar[Solver] = ContextVar("asked", default="structured")
 _answered: ContextVar[Counter[str] | None] = ContextVar("answered", default=None)
@@ -73,6 +77,52 @@ def semidefinite(cost: Array, blocks: Sequence[cone_program.Block]) -> Array | N
     """
     solver: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
     return _by(solver, cone_program.semidefinite(cost, blocks, solver))
+
+
+def minimised(
+    what: str, shapes: Mapping[str, tuple[int, ...]], blocks: Callable[[Unknowns], Iterator[Array]]
+) -> dict[str, Array] | None:
+    """Minimise an unknown subject to blocks ⪰ 0, written down as they stand, affine in all of them; Q is symmetric.
+
+    Args:
+        what: Its name.
+        shapes: Of all unknowns.
+        blocks: Makes symmetric matrices (c, N, N) of unknowns (c, …) and of "1", (c,), which stands for constants.
+
+    Example: the least t with t ≥ 1 and t ≥ 2.
+
+        >>> found = minimised("t", {"t": ()}, lambda x: iter([(x["t"] - k * x["1"])[:, None, None] for k in (1, 2)]))
+        >>> found["t"].round(6).tolist()
+        2.0
+    """
+    unknowns, at, places = {}, 0, {}
+    sizes = {name: _count(name, shape) for name, shape in shapes.items()}
+    total = sum(sizes.values())
+    for name, shape in shapes.items():
+        batch = np.zeros((1 + total, sizes[name]))
+        batch[1 + at : 1 + at + sizes[name]] = np.eye(sizes[name])
+        unknowns[name], places[name] = _shaped(name, shape, batch), slice(at, at + sizes[name])
+        at += sizes[name]
+    unknowns["1"] = np.eye(1 + total)[0]
+    told = list[cone_program.Block]()
+    for block in blocks(unknowns):
+        columns = upper(block)
+        told.append((-columns[1:].T, columns[0]))
+    cost = np.zeros(total)
+    cost[places[what]] = 1.0
+    x = semidefinite(cost, told)
+    if x is None or not np.isfinite(x).all():
+        return None
+    return {name: _shaped(name, shape, x[None, places[name]])[0] for name, shape in shapes.items()}
+
+
+def _count(name: str, shape: tuple[int, ...]) -> int:
+    return shape[0] * (shape[0] + 1) // 2 if name == "Q" else int(np.prod(shape))
+
+
+def _shaped(name: str, shape: tuple[int, ...], entries: Array) -> Array:
+    """Return entries (c, …) as what they are of; of Q as `upper` has it."""
+    return symmetric_of(entries, shape[0]) if name == "Q" else entries.reshape(-1, *shape)
 
 
 def _by(solver: Solver, found: Found | None) -> Found | None:

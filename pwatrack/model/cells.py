@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import EPS, Array, IntArray, readonly
-from pwatrack.causes import ProblemPart
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
 from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
 from pwatrack.model.hyperplanes import claims, merge
 from pwatrack.model.polyhedron import (

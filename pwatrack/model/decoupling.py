@@ -8,8 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import TINY, Array, balancing, number_text
 from pwatrack.ball_matrix import BallMatrix, different, each, stack
-from pwatrack.causes import ProblemPart, Remedy, Way
-from pwatrack.errors import OutsideTheory
+from pwatrack.errors import OutsideTheory, ProblemPart, Remedy, Way
 from pwatrack.model.derivatives import Derivatives, exact_rows, last_rows, unsure
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import is_positive_definite, stacked

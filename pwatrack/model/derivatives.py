@@ -7,8 +7,7 @@ import numpy as np
 
 from pwatrack.arrays import EPS, Array, number_text
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.causes import ProblemPart, Remedy, Way
-from pwatrack.errors import OutsideTheory
+from pwatrack.errors import OutsideTheory, ProblemPart, Remedy, Way
 from pwatrack.model.pwa import Matrices, PWASystem
 
 _ZERO = 0.5  # of the worst rounding error, below which an entry of c B counts as 0

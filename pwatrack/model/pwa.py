@@ -10,8 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array, number_text, readonly
 from pwatrack.ball_matrix import BallMatrix, each, places, stack
 from pwatrack.ball_matrix import beside as sides
-from pwatrack.causes import ProblemPart, Remedy, Way
-from pwatrack.errors import OutsideTheory, Problem
+from pwatrack.errors import OutsideTheory, Problem, ProblemPart, Remedy, Way
 from pwatrack.model.cells import Facet, Partition
 from pwatrack.model.continuity import Discontinuity, Discontinuous, Repair, repaired
 from pwatrack.model.loads import Loads

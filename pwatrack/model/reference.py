@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, readonly
-from pwatrack.causes import Remedy, Subject, Way
-from pwatrack.errors import OutsideTheory
+from pwatrack.errors import OutsideTheory, Remedy, Subject, Way
 from pwatrack.model.profile import Course, Profile
 from pwatrack.model.signal import Signal
 

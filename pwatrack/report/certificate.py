@@ -23,8 +23,8 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Given
 from pwatrack.lmi.audit.reading import FORMAT, number
 from pwatrack.lmi.dichotomy import NoDichotomy
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Impossibility
-from pwatrack.lmi.role import CONTROLLER, OBSERVER
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.simplified import merged_spec

@@ -11,7 +11,7 @@ from pwatrack.report.plant import size_texts
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.report.terminal import visible
 from pwatrack.simulation.modes import Mode, modes
-from pwatrack.workflow.plant_cautions import plant_warnings
+from pwatrack.workflow.cautions import plant_warnings
 
 _EXACT = {  # what a route is, by its name
     "Theorem 2": "state tracking, Theorem 2",

@@ -42,8 +42,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.version import versions
-from pwatrack.workflow.how_far import HowFar
-from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.how_far import HowFar, LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 

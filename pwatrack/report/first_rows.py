@@ -17,7 +17,7 @@ from pwatrack.report.required import Checked
 from pwatrack.simulation.margins import worst
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.cautions import Assessment
-from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.how_far import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 

@@ -12,8 +12,7 @@ from pwatrack.control.words import sized
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
 from pwatrack.workflow.bands import covered
-from pwatrack.workflow.how_far import HowFar, Proved
-from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.how_far import HowFar, LargestBox, Proved
 from pwatrack.workflow.result import SimulatedLoop
 
 

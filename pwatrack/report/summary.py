@@ -30,7 +30,7 @@ from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.terminal import titled
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.cautions import Assessment
-from pwatrack.workflow.largest_box import LargestBox
+from pwatrack.workflow.how_far import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 

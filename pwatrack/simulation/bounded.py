@@ -9,12 +9,11 @@ from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
 
 from pwatrack.arrays import EPS, TINY, Array, balancing
 from pwatrack.ball_matrix import different
-from pwatrack.causes import Remedy, Subject, Way
 from pwatrack.control.convergence import prove_convergence
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import CheckFailed, Infeasible, Problem, Undecided
+from pwatrack.errors import CheckFailed, Infeasible, Problem, Remedy, Subject, Undecided, Way
+from pwatrack.lmi.inequality import PLANT
 from pwatrack.lmi.polynomial import exactly
-from pwatrack.lmi.role import PLANT
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import spectral_terms
 from pwatrack.rational import is_hurwitz

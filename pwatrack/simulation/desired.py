@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import TINY, Array
-from pwatrack.causes import ProblemPart, Remedy, Subject, Way
 from pwatrack.control.headroom import Peak
 from pwatrack.control.realisable import ROUNDING, LeftOver, left_over
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import CheckFailed, OutsideTheory, Problem, Undecided
+from pwatrack.errors import CheckFailed, OutsideTheory, Problem, ProblemPart, Remedy, Subject, Undecided, Way
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.enclosure import Segments, enclosed

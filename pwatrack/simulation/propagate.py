@@ -12,8 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import EPS, Array, balancing
-from pwatrack.causes import ProblemPart
-from pwatrack.errors import CheckFailed, InvalidSpec
+from pwatrack.errors import CheckFailed, InvalidSpec, ProblemPart
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine

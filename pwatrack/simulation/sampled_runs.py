@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.causes import ProblemPart, Remedy, Way
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
-from pwatrack.errors import CheckFailed, InvalidSpec
+from pwatrack.errors import CheckFailed, InvalidSpec, ProblemPart, Remedy, Way
 from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.propagate import Propagator

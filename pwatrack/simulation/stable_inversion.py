@@ -23,9 +23,8 @@ import scipy  # whose parts are imported where they are used
 from scipy.linalg import schur, solve_sylvester
 
 from pwatrack.arrays import EPS, Array, balancing
-from pwatrack.causes import ProblemPart
 from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
-from pwatrack.errors import Undecided
+from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.model.reference import Exosystem, beside, exosystem, spectral_terms
 from pwatrack.model.signal import Signal
 from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined, played, states_at

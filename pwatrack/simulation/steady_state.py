@@ -10,10 +10,9 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array, balancing
-from pwatrack.causes import ProblemPart, Remedy, Subject, Way
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import InvalidSpec, OutsideTheory, PwatrackError
+from pwatrack.errors import InvalidSpec, OutsideTheory, ProblemPart, PwatrackError, Remedy, Subject, Way
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import Signal
 from pwatrack.model.sizes import Sizes

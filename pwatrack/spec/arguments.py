@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pwatrack.arrays import amount
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec
+from pwatrack.errors import InvalidSpec, Subject
 from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.load import read_plant, read_spec
 from pwatrack.spec.spec import Spec

@@ -19,13 +19,11 @@ from itertools import product
 from typing import Any
 
 from pwatrack.arrays import number_text
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Undecided
-from pwatrack.model.box import Box
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject, Undecided
 from pwatrack.model.nonlinearity import PiecewiseLinear
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.signal import NotRepresentable
-from pwatrack.real import Real
+from pwatrack.real import Box, Real
 from pwatrack.spec.expression import ExpressionError, real
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.plant_section import Element

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, WrapValidator
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Subject
+from pwatrack.errors import Subject
 from pwatrack.lmi.inequality import Solver
 from pwatrack.real import Real
 from pwatrack.spec.entries import (

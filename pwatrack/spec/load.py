@@ -11,8 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError
+from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
 from pwatrack.model.pwa import PWASystem
 from pwatrack.remote_files import content
 from pwatrack.spec.axis import Axis, axes_of

@@ -7,8 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pwatrack.arrays import number_text
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError
+from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.spec.expression import (

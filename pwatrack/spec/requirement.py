@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import ValidationInfo
 
-from pwatrack.causes import Subject
+from pwatrack.errors import Subject
 from pwatrack.simulation.enclosure import CLOSE
 from pwatrack.spec.entries import sized_real, two_limits
 from pwatrack.spec.expression import BrokenParameter, UnknownName

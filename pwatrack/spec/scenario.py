@@ -11,10 +11,8 @@ import scipy
 
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.causes import Subject
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
-from pwatrack.errors import InvalidSpec, Problem
-from pwatrack.model.box import Box, Uncertain
+from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
 from pwatrack.model.loads import Load, Loads
 from pwatrack.model.profile import Course, Formula, Profile, polyline
@@ -30,7 +28,7 @@ from pwatrack.model.reference import (
 )
 from pwatrack.model.signal import ExponentialPolynomial
 from pwatrack.rational import fraction_of
-from pwatrack.real import Real
+from pwatrack.real import Box, Real, Uncertain
 from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection, ends_of
 from pwatrack.spec.parametric import ParametricPlant

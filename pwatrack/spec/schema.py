@@ -8,8 +8,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import PlainValidator, ValidationError, WithJsonSchema
 
-from pwatrack.causes import Subject
-from pwatrack.errors import Problem
+from pwatrack.errors import Problem, Subject
 from pwatrack.model.pwa import ROUNDING
 from pwatrack.spec.axis import SweepSection
 from pwatrack.spec.design_section import DesignSection

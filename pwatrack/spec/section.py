@@ -16,7 +16,7 @@ from pydantic import (
     model_validator,
 )
 
-from pwatrack.causes import Subject
+from pwatrack.errors import Subject
 from pwatrack.real import Real
 from pwatrack.spec.wording import guess, shown
 from pwatrack.spec.yaml_tree import at_path

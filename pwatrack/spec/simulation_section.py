@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
-from pwatrack.causes import Subject
+from pwatrack.errors import Subject
 from pwatrack.model.conditions import Method
 from pwatrack.spec.entries import (
     FormPair,

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pwatrack.arrays import Array, amount
-from pwatrack.causes import Subject
 from pwatrack.control.goal import Goal
 from pwatrack.control.words import Words
-from pwatrack.errors import Place, PwatrackError
-from pwatrack.lmi.inequality import Solver
-from pwatrack.lmi.role import CONTROLLER, OBSERVER, Role
-from pwatrack.model.box import Box
+from pwatrack.errors import Place, PwatrackError, Subject
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Role, Solver
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import OutputReference, Reference
+from pwatrack.real import Box
 from pwatrack.simulation.region import Region
 from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pwatrack.causes import ProblemPart, Subject, Way
-from pwatrack.errors import Place, Problem, PwatrackError
+from pwatrack.errors import Place, Problem, ProblemPart, PwatrackError, Subject, Way
 from pwatrack.spec.yaml_tree import Arguments
 
 _PATHS: Mapping[ProblemPart, Subject] = {

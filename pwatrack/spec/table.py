@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec
+from pwatrack.errors import InvalidSpec, Subject
 from pwatrack.model.profile import Table, low_passed
 from pwatrack.model.signal import LARGEST
 from pwatrack.remote_files import content

@@ -18,8 +18,7 @@ from typing import Any, NoReturn
 import yaml
 from yaml.reader import Reader
 
-from pwatrack.causes import Subject
-from pwatrack.errors import InvalidSpec, Place, Problem
+from pwatrack.errors import InvalidSpec, Place, Problem, Subject
 from pwatrack.spec.wording import shown
 
 WRITTEN = "from_python.yaml"  # what a description from Python is called as a file

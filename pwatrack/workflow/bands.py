@@ -9,8 +9,8 @@ from pwatrack.arrays import Array
 from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController, Seen
-from pwatrack.model.box import Box, inside
 from pwatrack.model.conditions import Conditions
+from pwatrack.real import Box, inside
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.enclosure import Enclosing, Segments

@@ -1,6 +1,7 @@
 """What an engineer would be warned of before this design goes to its machine: each with its figure, and a way out.
 
-It changes no verdict. What is proved says so; margins and modes are of each cell by itself, in floating point.
+It changes no verdict. What is proved says so; margins and modes are of each cell by itself, in floating point. What is
+odd of a plant by itself, elements that give energy, modes that run away or are not damped, is said before any design.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwatrack.arrays import number_text, up
+from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.sampled import SampledLoop
@@ -17,10 +18,12 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_gains import sampled_gains
 from pwatrack.control.words import Words, sized
+from pwatrack.model.nonlinearity import Nonlinearity
+from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.margins import Margins, loop_margins, worst
+from pwatrack.simulation.modes import modes
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared
-from pwatrack.workflow.plant_cautions import plant_warnings
 from pwatrack.workflow.sizing import reference_sizes
 
 _HALF = 0.5  # of the reference: an error of this size is no tracking
@@ -28,6 +31,7 @@ _SINGLE = 2.0**-24  # of a number: what storing it in single precision may chang
 _NEAR = 0.05  # of the range of an input: what rests nearer to a limit has no room there
 _TENTH = 0.1  # of the sampling frequency: what a loop is usually slower than
 _LITTLE_PHASE = np.pi / 6  # rad: half of what is usually asked for
+_UNDAMPED = 1e-3  # damping of a mode: real machines have more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,3 +186,57 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
             f"sampling every {number_text(h)} s is late by {late:.2g} s, and {margins.delay:.2g} s is the delay margin "
             f"in cell '{controller.plant.cell_names[margins.cell]}': sample faster"
         )
+
+
+def plant_warnings(plant: PWASystem) -> list[str]:
+    """Say which elements give energy, and which modes of a plant run away or are not damped.
+
+    Example: no cell of the paper's example does.
+
+        >>> from pwatrack import load_spec
+        >>> plant_warnings(load_spec("specs/two_mass_backlash.yaml").problem.plant)
+        []
+    """
+    found = [(mode, name) for A, name in zip(plant.A, plant.cell_names, strict=True) for mode in modes(A)]
+    away, said = [(mode, name) for mode, name in found if mode.frequency and mode.time_constant < 0], list[str]()
+    form = plant.written if away else None
+    for element, A in () if form is None else ((one, form.A.floats) for one in form.elements):
+        rate = _pushes(A, element)
+        if rate > 0 and not any(f"'{element.name}'" in remark for remark in plant.remarks):
+            said.append(
+                f"'{element.name}' gives energy: it pushes {_looked_at(element, plant)} on, {rate:.3g} 1/s² per unit: "
+                "turn the sign of its 'into' if it should hold back"
+            )
+    if away:
+        mode, name = max(away, key=lambda one: -1 / one[0].time_constant)
+        cells = f"{len({name for _, name in away})} of {len(plant.A)} cells"
+        said.append(
+            f"the plant runs away in {cells}, time constant {-mode.time_constant:.3g} s: right for a pendulum, wrong "
+            f"for a spring (fastest in '{name}')"
+        )
+    still = [(mode, name) for mode, name in found if mode.frequency and 0 <= mode.damping < _UNDAMPED]
+    if still:
+        mode, name = min(still, key=lambda one: one[0].damping)
+        said.append(
+            f"a mode at {mode.frequency:.3g} rad/s has damping {mode.damping:.2g}: the file leaves it out, or give it "
+            f"some (in '{name}')"
+        )
+    return said
+
+
+def _pushes(A: Array, element: Nonlinearity) -> float:
+    """Return the most by which an element drives what it looks at away, per unit of it: in 1/s², through one rate.
+
+    As in `drives_away`, but of each slope by itself, and of what the element does as a whole.
+    """
+    row, d = (np.array([float(v) for v in values]) for values in (element.row, element.direction))
+    if row @ d != 0:
+        return 0.0
+    terms = (row @ A) * d
+    through = float(terms.sum()) if abs(terms.sum()) > 1e-12 * np.abs(terms).sum() else 0.0
+    return max(through * float(slope) for slope in element.function.slopes)
+
+
+def _looked_at(element: Nonlinearity, plant: PWASystem) -> str:
+    names = [name for name, v in zip(plant.states, element.row, strict=True) if float(v)]
+    return names[0] if len(names) == 1 else "what it looks at"

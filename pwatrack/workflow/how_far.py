@@ -1,29 +1,37 @@
-"""How far away a refused inequality is: from which value of each parameter on it is proved, and which rate is."""
+"""How far away a refused inequality is: from which value of each parameter on it is proved, and which rate is.
+
+And how far a box of uncertain parameters can be scaled about the values of the design.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, stack
+from pwatrack.claims.robust import Robust
 from pwatrack.control.candidates import Candidates
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.convergence import FEW_ROWS, first_certificate, near_polynomial
 from pwatrack.control.goal import Given
 from pwatrack.control.task import Task
-from pwatrack.errors import PwatrackError
+from pwatrack.errors import OutsideTheory, PwatrackError, Undecided
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.dichotomy import NoDichotomy, prove_dichotomy
 from pwatrack.lmi.exact import Proof, prove_exactly
+from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.lmi.infeasibility import Impossibility, seems_impossible
 from pwatrack.lmi.polynomial import PolynomialProof, best_polynomial, degrees, prove_polynomial
 from pwatrack.lmi.presolve import distinct
-from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
+from pwatrack.lmi.solve import asking
 from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
+from pwatrack.real import Box, Real
 from pwatrack.spec.expression import Expression
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow.pipeline import asked_of
 from pwatrack.workflow.sizing import spec_sizes
 
 _STEPS = tuple(0.02 * 3.0**k for k in range(8))  # relative distances from the present value that are tried: up to 44
@@ -34,6 +42,9 @@ _ROOM = 1.003  # times the rate asked: so that a design, in other sizes, finds a
 _MOST_PROOFS, _LEAST_PROOFS = 250, 40  # that are tried, for all parameters; with fewer it is not looked for
 _EACH = 30  # that a parameter, or the rate, may take, or more where there are few parameters
 _MOST_WORK = 200_000  # different cells · order³, of all proofs together: some seconds
+_NEAR = 1 / 99  # of the factor: where the search ends
+_DOUBLED = tuple(2.0**k for k in range(7))  # factors that are tried first
+_TRIALS = 16  # together with these: ten halvings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,3 +289,51 @@ def _some_gain(task: Task, rate: float) -> Array | None:
             if proof is not None and proof.rate >= rate:
                 return candidate.K
     return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestBox:
+    """The largest box that was proved."""
+
+    factor: float  # all ends are so many times as far from the values of the design as the spec has them
+    beyond: float | None  # the least factor for which no proof was found; None up to 64
+    box: Box  # the box itself
+
+
+def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
+    """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
+
+    The controller is a design for the spec, whether it is proved for its box or not. Raises Undecided if none was
+    proved.
+    """
+    uncertain, refusals = spec.objectives.uncertain, [Undecided()]
+
+    def box(factor: float) -> Box:
+        return tuple(interval.scaled(Real.of(factor)) for interval in uncertain)
+
+    def at(factor: float) -> tuple[float, None] | None:
+        try:
+            asked = replace(spec, objectives=replace(spec.objectives, uncertain=box(factor)))
+            with spec.located(), asking(spec.objectives.solver):
+                next(Robust.prove(controller, asked_of(asked, None, controller)))
+        except (Undecided, OutsideTheory) as error:
+            refusals.append(Undecided(*error.problems))
+            return None
+        return factor, None
+
+    low, beyond = 0.0, None
+    for tried, factor in enumerate(_DOUBLED, 1):
+        if at(factor) is None:
+            low, _, beyond = bisected(
+                (low, None),
+                factor,
+                at,
+                near=_NEAR,
+                most=_TRIALS - tried,
+                middle=lambda one, other: float(f"{(one + other) / 2:.4g}"),
+            )
+            break
+        low = factor
+    if not low:
+        raise refusals[-1]
+    return LargestBox(factor=low, beyond=beyond, box=box(low))

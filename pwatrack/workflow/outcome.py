@@ -16,7 +16,7 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Seen
 from pwatrack.errors import ExitCode
-from pwatrack.model.box import Box
+from pwatrack.real import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.trace import Trace, tenths

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Remedy, Way
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import DEFAULT
 from pwatrack.control.modes import check_modes
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError
+from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Remedy, Way
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem

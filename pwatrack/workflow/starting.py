@@ -5,11 +5,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.causes import Subject
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.headroom import Starts
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.steady_state import consistent_start, from_measured

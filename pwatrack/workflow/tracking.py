@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pwatrack.causes import Subject
 from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
@@ -12,7 +11,7 @@ from pwatrack.control.modes import check_loads
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
-from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
+from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError, Subject
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.profile import Table
 from pwatrack.model.reference import (

@@ -9,8 +9,7 @@ from typing import Literal, cast
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray, amount
-from pwatrack.causes import Subject
-from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError, Subject
 from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble

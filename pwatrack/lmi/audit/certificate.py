@@ -10,10 +10,9 @@ from .form import normal_form
 from .matrices import AuditFault, counted, transposed
 from .plant import AuditedPlant, at_centres
 from .polynomials import polynomial
-from .proofs import both_ways, check, cost, no_P_by_modes, no_P_by_Z, refuted
+from .proofs import between, both_ways, check, cost, no_P_by_modes, no_P_by_Z, refuted
 from .reading import FORMAT, matrix, number, parsed
 from .shape import CELLS, REFUSAL, ROWS, by_cell, fit, kind, refuses
-from .uncontrollable import between
 
 NAMES = {
     "plant": "(7) plant",
