@@ -5,12 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.causes import Subject
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.headroom import OFF, Headroom, Peak, SignalRoom, Starts
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.desired import desired_peak, w_alone
