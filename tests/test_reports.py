@@ -62,7 +62,7 @@ class Page(HTMLParser):
         named = dict(attributes)
         self.loaded += [str(named[name]) for name in ("src", "srcset", "action") if name in named]
         self.loaded += [str(named["href"])] if tag == "link" else []
-        if tag not in ("meta", "input", "img"):
+        if tag not in ("meta", "input", "img", "wbr"):
             self.open.append(tag)
         if tag == "tr":
             self.rows.append([])
