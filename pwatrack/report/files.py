@@ -159,21 +159,17 @@ def write_result(
         for name, content in drawn.items():
             run.place(name).write_bytes(content)
         if wanted:
-            if first is None:
-                first = [
-                    *first_rows(
-                        result.spec,
-                        result.controller,
-                        assessed(result.spec, result.controller),
-                        checked=checked,
-                        result=result,
-                        many=many,
-                    )
-                ]
-            run.text(PAGE, page(result, first, drawn, certificate=certificate, summary=summary))
+            said = _first(result, checked, many) if first is None else first
+            run.text(PAGE, page(result, said, drawn, certificate=certificate, summary=summary))
         _summary(run, index, warnings, summary)
         run.commit(index)
     return Path(folder)
+
+
+def _first(result: SimulatedLoop, checked: Sequence[Checked], many: EnsembleResult | None) -> list[Row]:
+    """Work out what the first screen says of a run."""
+    spec, controller = result.spec, result.controller
+    return [*first_rows(spec, controller, assessed(spec, controller), checked=checked, result=result, many=many)]
 
 
 def _summary(run: RunFolder, index: dict[str, Any], warnings: Sequence[str] | None, summary: str | None) -> None:
