@@ -79,7 +79,8 @@ def _pictures(folder: Path, here: Path) -> str:
     parts = []
     for name in _PICTURES:
         with suppress(OSError):
-            parts.append(_linked(image(_small(folder / name), name), folder / name, here))
+            whole = folder / PAGE if (folder / PAGE).is_file() else folder / name
+            parts.append(_linked(image(_small(folder / name), name), whole, here))
     return "".join(parts)
 
 
