@@ -128,6 +128,10 @@ def test_no_text_is_cut_or_on_another_and_no_inset_is_on_what_is_drawn(
     for name, figure in figures.items():
         texts = written(figure, monkeypatch)
         assert len(texts) > 10
+        if name in ("outputs.png", "states.png"):
+            shown = {text.split(" ")[0] for text, _ in texts}
+            plant = problem.plant
+            assert set(plant.tracked_names if name == "outputs.png" else plant.states) <= shown
         whole = figure.bbox
         for k, (text, box) in enumerate(texts):
             assert shared(box, whole) > 0, (name, text)

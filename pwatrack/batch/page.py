@@ -16,7 +16,7 @@ from pwatrack.report.run_folder import PAGE, written_at_once
 
 _TEXTS = ("spec", "result", "verdict")
 _PICTURES = ("outputs.png", "tracking_error.png")
-_WIDTH = 150  # of a small picture, in dots
+_WIDTH = 130  # of a small picture, in dots
 _SPEC, _VERDICT = 10, 18  # rem: at least so wide are names of files, and what is said of a run, about 38 letters a line
 
 

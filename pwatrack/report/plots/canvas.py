@@ -33,7 +33,7 @@ _PAD = 1 / 24  # inches between what panels need, and around it
 _FIRST = (0.6, 0.05, 0.2, 0.3)  # inches that a panel may need to the left, right, above and below
 _AROUND, _BELOW = 1.2, 0.4  # inches: of a picture above its panels, and of a panel below what is drawn, about
 _SIZE, _SMALL = 9, 7  # points of what is written along an axis; the other where there is little room
-_LETTER, _FEWEST = 0.0083, 8  # inches of a letter for each point; letters of a line at least
+_LETTER, _FEWEST = 0.0075, 8  # inches of a letter for each point; letters of a line at least
 _ROUNDS = 3  # of measuring: ticks change with the size of a panel, but seldom more than once
 
 
@@ -77,7 +77,8 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     axes.set_ylabel(plain("\n".join(lines)), fontsize=size)
     axes.set_xlim(shown[0], shown[-1])
     axes.tick_params(labelsize=8)
-    axes.yaxis.get_offset_text().set_fontsize(8)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
 

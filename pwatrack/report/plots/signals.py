@@ -137,13 +137,13 @@ def _over_time(
     else:
         figure, panels = _column(result, title, count)
         spans, of = [whole] * count, list(range(count))
-    for axes, span, signal in zip(panels, spans, of, strict=True):
+    for k, (axes, span, signal) in enumerate(zip(panels, spans, of, strict=True)):
         shown = (t >= span[0]) & (t <= span[1])
         for values, text, style in curves:
             axes.plot(t[shown], values[shown, signal], label=text, **style)
         constant = lines(axes, signal)
         below = "time t (s)" if signal == count - 1 else ""
-        beside = "" if count > 1 and span == start else _labelled(result, names[signal])
+        beside = "" if k >= count > 1 else _labelled(result, names[signal])
         label(axes, below, beside, span)
         styled = [(values[shown, signal], style) for values, _, style in curves]
         inset = _zoom(axes, t[shown], styled, constant, whole=span != whole or count > _INSETS)
@@ -205,6 +205,8 @@ def _zoom(
         inset.plot(t[late], curve[late], **style)
     inset.set_xlim(t[late][0], t[-1])
     inset.tick_params(labelsize=6)
+    for axis in (inset.xaxis, inset.yaxis):
+        axis.get_offset_text().set_fontsize(6)
     inset.set_title("without the start", fontsize=7, pad=2)
     _show(inset, least, most, size, lines)
     return inset
