@@ -74,7 +74,7 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     size = _SIZE if len(y) < room / (_LETTER * _SIZE) else _SMALL
     kept = y.replace("+ ", "+\u00a0").replace("- ", "-\u00a0")  # a sign stays with what follows
     lines = textwrap.wrap(kept, max(_FEWEST, int(room / (_LETTER * size))), max_lines=4, placeholder=" …")
-    axes.set_ylabel(plain("\n".join(lines)), fontsize=size)
+    axes.set_ylabel(plain("\n".join(lines).replace("\u00a0", " ")), fontsize=size)
     axes.set_xlim(shown[0], shown[-1])
     axes.tick_params(labelsize=8)
     for axis in (axes.xaxis, axes.yaxis):
