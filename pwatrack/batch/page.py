@@ -45,8 +45,10 @@ def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:
     if outcome.failed and outcome.messages:
         notes.append(f"<details><summary>what it said</summary><pre>{escaped(outcome.messages)}</pre></details>")
     met = len(outcome.required) - len(outcome.missed)
+    left = bool(outcome.figures)  # else what is in its folder is of an earlier run
+    name = _breakable(str(outcome.spec))
     cells = [
-        f'<td class="spec">{_linked(_breakable(str(outcome.spec)), outcome.folder / PAGE, here)}</td>',
+        f'<td class="spec">{_linked(name, outcome.folder / PAGE, here) if left else name}</td>',
         f'<td class="{_kind(outcome)}">{escaped(outcome.result)}</td>',
         f'<td class="verdict">{escaped(outcome.verdict)}{"".join(notes)}</td>',
     ]
@@ -57,7 +59,7 @@ def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:
         value, unit = outcome.figures.get(figure, ""), outcome.unit if figure == "final_error" else ""
         cells.append(_number(name, value, f"{value:.3g} {escaped(unit)}".rstrip() if value != "" else ""))
     cells.append(_number("time (s)", outcome.seconds, f"{outcome.seconds:.1f}"))
-    cells.append(f'<td class="pictures">{_pictures(outcome.folder, here)}</td>')
+    cells.append(f'<td class="pictures">{_pictures(outcome.folder, here) if left else ""}</td>')
     return f'<tr data-kind="{_kind(outcome)}">{"".join(cells)}</tr>'
 
 
