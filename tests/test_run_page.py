@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 
 from pwatrack import Result, load_spec, simulate
+from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import CLAIMS
 from pwatrack.report.files import write_result
+from pwatrack.report.page import page as page_of
 from tests.test_page import BROWSER, Noted, browse
 
 ATTACK = "<script>alert(1)</script>\"'&"
@@ -130,6 +132,13 @@ def test_each_claim_unfolds_to_its_statement_and_the_numbers_of_the_certificate(
         for key in claim.nothing:
             assert told[key] == certificate[key]
             assert any(claim.statement in text and f"certificate.json, {key}" in text for text in shown)
+
+
+def test_what_the_certificate_does_not_prove_has_no_statement(result: Result, run: Path) -> None:
+    content = json.loads((run / "certificate.json").read_text())
+    for bounds in (content["bounds"], []):
+        page = Page(page_of(result, [], {}, certificate=json.dumps(content | {"bounds": bounds})))
+        assert any(SignalBounds.statement in text for text in page.texts["details"]) == bool(bounds)
 
 
 def test_bars_are_as_long_as_the_events_say(result: Result, run: Path, page: Page) -> None:

@@ -88,8 +88,8 @@ def _claims(result: SimulatedLoop, certificate: Mapping[str, Any]) -> Iterator[s
         if not rows and not keys:
             continue
         parts = [f"<dl>{_rows(rows)}</dl>"]
-        parts += [f"<p>Statement: {escaped(claim.statement)}</p>"] if claim.statement else []
-        if keys:
+        if keys:  # else it says why it is not proved
+            parts.append(f"<p>Statement: {escaped(claim.statement)}</p>")
             parts.append(f'<p class="note">{_CHECK.format(keys=", ".join(keys))}</p>')
             parts.append(_unfolds("Its numbers", json_text({key: certificate[key] for key in keys})))
         title = (type(claim).__doc__ or type(claim).__name__).partition("\n")[0].rstrip(".")
@@ -101,12 +101,8 @@ def _spec(result: SimulatedLoop) -> str:
     spec = result.spec
     changed = "".join(f"<p>with {escaped(f'{name} = {value}')}</p>" for name, value in spec.overrides.items())
     text = spec_text(spec)
-    said = (
-        "<p>It is not there any more as it was read.</p>"
-        if text is None
-        else f"<pre>{escaped(_cut(text.decode()))}</pre>"
-    )
-    return changed + said
+    said = "it is not there any more as it was read" if text is None else _cut(text.decode())
+    return f"{changed}<pre>{escaped(said)}</pre>"
 
 
 def _unfolds(title: str, text: str) -> str:
