@@ -80,6 +80,9 @@ def check(
         bool, typer.Option("--verbose", "-v", help="Print also facets, zero dynamics, and every route with its reason.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for machines.")] = False,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="FILE", help="Draw each nonlinearity, with its slopes.")
+    ] = None,
     outside: Outside = False,
 ) -> None:
     """Say what the plant is, which routes there are, and whether the reference is one that they are about."""
@@ -87,8 +90,7 @@ def check(
         from pwatrack.errors import PwatrackError
         from pwatrack.spec.load import assignments, load_spec
 
-        report, refusal, reference, sizes, name = None, None, "", None, ""
-        remarks: tuple[str, ...] = ()
+        report, refusal, reference, sizes, name, remarks = None, None, "", None, "", tuple[str, ...]()
         try:
             spec = load_spec(spec_path, assignments(parameters or []), outside=outside)
 
@@ -99,21 +101,22 @@ def check(
             from pwatrack.workflow.sizing import spec_sizes
             from pwatrack.workflow.tracking import reference_remarks
 
-            problem, sizes = spec.problem, spec_sizes(spec)
-            with asking(spec.objectives.solver):
+            problem, objectives, sizes = spec.problem, spec.objectives, spec_sizes(spec)
+            asked = {"asked": objectives.practical, "uncertain": bool(objectives.uncertain)}
+            known_before = getattr(problem.reference, "preview", True)
+            with asking(objectives.solver):
                 report = applicability(
-                    problem.plant,
-                    tracking=problem.tracking,
-                    sizes=sizes,
-                    asked=spec.objectives.practical,
-                    uncertain=bool(spec.objectives.uncertain),
-                    known=getattr(problem.reference, "preview", True),
+                    problem.plant, tracking=problem.tracking, sizes=sizes, known=known_before, **asked
                 )
                 name = spec.name
                 reference, sizes = checked(spec, report)
             remarks = (*reference_remarks(spec, report.form), *sampling_known(spec))
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
+        if picture is not None and report is not None:
+            from pwatrack.report.plots.elements import write_nonlinearities
+
+            write_nonlinearities(picture, spec)
         if as_json:
             from pwatrack.report.plant import check_json
 

@@ -2,14 +2,23 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox, BboxBase
 
-from pwatrack import Result, load_spec, simulate
+from pwatrack import Result, ensemble, load_spec, simulate
+from pwatrack.arrays import Array
 from pwatrack.batch.pool import Lost, Pool
 from pwatrack.report.drawing import begin, prepare
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.canvas import png
+from pwatrack.report.plots.elements import nonlinearities
 from pwatrack.report.plots.pictures import pictures
+from pwatrack.report.plots.spread import fan
+from tests.test_cli import call
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +85,115 @@ def test_panels_fill_a_picture_and_leave_room_for_what_is_written_beside_them(
             place = axes.yaxis.label.get_transform().transform(axes.yaxis.label.get_position())
             labels.setdefault(spec_of.colspan.start, []).append(place[0])
         assert all(max(places) - min(places) < 0.01 for places in labels.values())
+
+
+def written(figure: Figure, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Bbox]]:
+    """Return every text that is drawn into a picture, with its place in dots."""
+    png(figure)  # panels are placed
+    found = list[tuple[str, Bbox]]()
+    draw = Text.draw
+
+    def noted(self: Text, renderer: Any) -> None:
+        if self.get_visible() and self.get_text().strip():
+            found.append((self.get_text(), self.get_window_extent(renderer)))
+        draw(self, renderer)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Text, "draw", noted)
+        png(figure)
+    return found
+
+
+def points(line: Line2D) -> Array:
+    return np.asarray(line.get_xydata(), dtype=float)
+
+
+def shared(one: BboxBase, other: BboxBase) -> float:
+    """Return how many dots two boxes have in common, at least, in either direction; negative where they are apart."""
+    wide = float(min(one.x1, other.x1) - max(one.x0, other.x0))
+    return min(wide, float(min(one.y1, other.y1) - max(one.y0, other.y0)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spec", ["payload_in_wind", "three_tanks_pumps", "beam_one_sided_spring"])
+def test_no_text_is_cut_or_on_another_and_no_inset_is_on_what_is_drawn(
+    specs: Path, spec: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = simulate(load_spec(specs / "gallery" / f"{spec}.yaml"))
+    figures = {name: draw() for name, draw in pictures(result).items()}
+    problem, insets = result.spec.problem, 0
+    figures["as `check` draws them"] = nonlinearities(result.spec.name, problem.plant, problem.units)
+    if spec == "payload_in_wind":
+        figures["ensemble.png"] = fan(ensemble(result, 3))
+    for name, figure in figures.items():
+        texts = written(figure, monkeypatch)
+        assert len(texts) > 10
+        if name in ("outputs.png", "states.png"):
+            shown = {text.split(" ")[0] for text, _ in texts}
+            plant = problem.plant
+            assert set(plant.tracked_names if name == "outputs.png" else plant.states) <= shown
+        whole = figure.bbox
+        for k, (text, box) in enumerate(texts):
+            assert shared(box, whole) > 0, (name, text)
+            assert box.x0 >= 0, (name, text)
+            assert box.y0 >= 0, (name, text)
+            assert box.x1 <= whole.x1, (name, text)
+            assert box.y1 <= whole.y1, (name, text)
+            assert not [other for other, place in texts[:k] if shared(box, place) > 1], (name, text)
+        for axes in figure.axes:
+            for inset in axes.child_axes:
+                insets += 1
+                assert not [text for text, box in texts if shared(box, inset.bbox) > 1], name
+                around = inset.get_tightbbox()
+                assert around is not None
+                for curve in axes.lines:
+                    places = axes.transData.transform(points(curve))
+                    assert len(places) == 2 or not any(around.contains(x, y) for x, y in places), (name, curve)
+    assert insets or spec == "beam_one_sided_spring"
+
+
+def test_the_start_is_shown_to_the_end_of_a_move_that_goes_on(tmp_path: Path) -> None:
+    """A tenth of the time is 1 s; the reference moves from 0.8 s to 1.6 s."""
+    (tmp_path / "moving.yaml").write_text(
+        """
+name: a mass
+system: {states: [z, v], inputs: [u], outputs: [y], A: [[0, 1], [-1, -1]], B: [[0], [1]], C: [[1, 0]]}
+reference: {output: {step: {size: 1, at: 0.8, smooth: 0.8}}}
+simulation: {duration: 10, sample_time: 0.01}
+"""
+    )
+    result = simulate(load_spec(tmp_path / "moving.yaml"))
+    _, start, end = pictures(result)["outputs.png"]().axes
+    assert start.get_xlim() == pytest.approx((0, 1.1 * 1.6), abs=0.03)
+    assert end.get_xlim()[1] == 10
+    y_d = points(start.lines[1])[:, 1]
+    assert (y_d[0], y_d[-1]) == pytest.approx((0, 1), abs=1e-9)
+
+
+def test_each_nonlinearity_is_drawn_with_its_slopes_and_where_the_run_was(result: Result) -> None:
+    figure = pictures(result)["nonlinearities.png"]()
+    elements = result.spec.problem.plant.written
+    assert elements is not None
+    for axes, element in zip(figure.axes, elements.elements, strict=True):
+        (curve,) = (line for line in axes.lines if len(points(line)) > 2)
+        s, phi = points(curve).T
+        np.testing.assert_allclose(phi, [element.function(v) for v in s])
+        slopes = np.diff(phi) / np.diff(s)
+        np.testing.assert_allclose(slopes, [float(v) for v in element.function.slopes])
+        said = axes.get_title(loc="left").replace("\n", " ")
+        assert all(f": {float(v):.6g}" in said for v in element.function.slopes)
+        s = result.response.x @ [float(v) for v in element.row] + float(element.constant)
+        (seen,) = axes.patches
+        assert seen.get_extents().intervalx == pytest.approx(
+            axes.transData.transform([[s.min(), 0], [s.max(), 0]])[:, 0]
+        )
+
+
+def test_check_draws_the_nonlinearities_of_a_plant_that_has_some(specs: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "phi.png"
+    run = call("check", specs / "gallery" / "kinked_tanks.yaml", "--picture", picture)
+    assert (run.exit_code, picture.read_bytes()[:4]) == (0, b"\x89PNG")
+    run = call("check", specs / "two_mass_backlash.yaml", "--picture", tmp_path / "none.png")
+    assert run.exit_code == 2
+    assert "written by its cells" in run.stderr
+    assert not (tmp_path / "none.png").exists()

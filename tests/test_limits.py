@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pwatrack.arrays import Array
 from pwatrack.errors import CheckFailed, InvalidSpec
-from pwatrack.report.plots.cells import joined
+from pwatrack.report.stays import joined
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import simulate_flow, trace_blocks
 

@@ -62,7 +62,7 @@ class Page(HTMLParser):
         named = dict(attributes)
         self.loaded += [str(named[name]) for name in ("src", "srcset", "action") if name in named]
         self.loaded += [str(named["href"])] if tag == "link" else []
-        if tag not in ("meta", "input", "img"):
+        if tag not in ("meta", "input", "img", "wbr"):
             self.open.append(tag)
         if tag == "tr":
             self.rows.append([])
@@ -165,7 +165,9 @@ def test_the_page_shows_pictures_of_runs_small(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     Image.new("RGB", (1200, 800), "white").save(folder / "outputs.png")
     (folder / "tracking_error.png").write_text("no picture")
-    WRITERS[".html"]([SpecOutcome(spec=Path("a.yaml"), folder=folder, exit=0)], tmp_path / "reports" / "report.html")
+    made = SpecOutcome(spec=Path("a.yaml"), folder=folder, exit=0, figures={"norm_K": 1.0})
+    broken = SpecOutcome(spec=Path("b.yaml"), folder=folder, exit=2)  # an earlier run is in its folder
+    WRITERS[".html"]([made, broken], tmp_path / "reports" / "report.html")
     text = (tmp_path / "reports" / "report.html").read_text(encoding="utf-8")
     page = Page()
     page.feed(text)
@@ -173,6 +175,10 @@ def test_the_page_shows_pictures_of_runs_small(tmp_path: Path) -> None:
     assert page.loaded[0].startswith("data:image/png;base64,")
     assert 'href="../runs/a%20100%25/outputs.png"' in text
     assert len(text) < 20_000
+    (folder / "report.html").touch()
+    WRITERS[".html"]([made, broken], tmp_path / "reports" / "report.html")
+    links = re.findall(r'href="([^"]*)"', (tmp_path / "reports" / "report.html").read_text(encoding="utf-8"))
+    assert links == ["../runs/a%20100%25/report.html"] * 2  # its name, and its picture
 
 
 def test_annotations_are_one_line_each_and_no_text_is_taken_for_another_command() -> None:

@@ -118,6 +118,8 @@ def test_a_long_run_is_written_in_full_and_kept_in_part(
     assert len(result.response.t) == 667  # every ninth of 6001
     np.testing.assert_array_equal(result.response.x, paper.response.x[::9])
     all_of_it, in_part = (figure_content(asdict(one.figures)) for one in (paper, result))
+    for part, shares in all_of_it.pop("time_share").items():
+        assert in_part["time_share"][part] == pytest.approx(shares, rel=1e-12)
     for name, figure in all_of_it.items():
         assert in_part[name] == pytest.approx(figure, rel=1e-12), name
     monkeypatch.delattr("pwatrack.workflow.pipeline.trace_blocks")  # writing does not simulate

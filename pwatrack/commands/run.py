@@ -89,14 +89,15 @@ def run(
             raise
         status.update("Writing the files")
         long = partial(_print_all, made, result, many, checked, assessment)
+        came: dict[str, Any] = {"checked": checked, "result": result, "many": many, "largest": made.largest}
+        first = list(first_rows(spec, controller, assessment, **came))
         kept: Any = {"warnings": assessment.warnings, "effort": made.effort, "summary": summary.written(long)}
         if result is not None:
-            files.write_result(result, folder, many=many, plots=plots, executor=drawing, **kept)
+            files.write_result(result, folder, many=many, first=first, plots=plots, executor=drawing, **kept)
         else:
             files.write_design(spec, controller, folder, fronts=found, largest=made.largest, **kept)
     if shown == "summary":
-        came: dict[str, Any] = {"checked": checked, "result": result, "many": many, "largest": made.largest}
-        print_screen(console(), screen(spec.name, first_rows(spec, controller, assessment, **came), folder))
+        print_screen(console(), screen(spec.name, first, folder))
     else:
         made.tell(folder, long, shown)
     _check(spec, result, many, checked)

@@ -20,16 +20,17 @@ from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 _OF_STEADY_STATE = ("largest_multiplier", "steady_state_residual")
+_BESIDE = ("sampled", "time_share")  # what is said of a simulation beside its figures
 SIMULATED = (  # the figures that no proof decides
-    *(field.name for field in fields(Figures) if field.name != "sampled"),
+    *(field.name for field in fields(Figures) if field.name not in _BESIDE),
     *_OF_STEADY_STATE,
 )
 
 
 def measures(result: SimulatedLoop) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
-    figures = asdict(result.figures)
-    figures = {name: value for name, value in figures.items() if name != "sampled" and (value or name not in RANGES)}
+    left_out = {*_BESIDE, *(name for name in RANGES if not getattr(result.figures, name))}
+    figures = {name: value for name, value in asdict(result.figures).items() if name not in left_out}
     if (steady := result.steady_state) is not None:
         largest = float(np.abs(steady.multipliers).max())
         figures |= zip(_OF_STEADY_STATE, (largest, steady.residual), strict=True)
@@ -113,6 +114,20 @@ def states_unit(spec: Spec) -> str:
     """Return the unit of a norm of all states: of several it is in sizes."""
     states = spec.problem.plant.states
     return spec.problem.units.get(states[0], "") if len(states) == 1 else "sizes"
+
+
+def percent(share: float) -> str:
+    """Return a share in percent, to a tenth below 10 %; what is not nothing and not all is not said to be.
+
+    Example:
+        >>> [percent(share) for share in (0.4123, 0.0123, 1e-5, 0.99999, 1.0)]
+        ['41 %', '1.2 %', '< 0.1 %', '> 99.9 %', '100 %']
+    """
+    if 0 < share < 1e-3:
+        return "< 0.1 %"
+    if 0.995 <= share < 1:
+        return f"{100 * share:.1f} %" if share < 0.9995 else "> 99.9 %"
+    return f"{100 * share:.{0 if share >= 0.0995 else 1}f} %"
 
 
 def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:

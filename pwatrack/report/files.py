@@ -15,7 +15,7 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import figures
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import ProvedController
+from pwatrack.control.controller import ProvedController, Row
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
@@ -31,10 +31,12 @@ from pwatrack.report.figures import (
     measures,
     member_figures,
 )
+from pwatrack.report.first_rows import first_rows
 from pwatrack.report.kept_spec import keep
+from pwatrack.report.page import page
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
 from pwatrack.report.required import Checked, required
-from pwatrack.report.run_folder import REFUSAL, SUMMARY, Plots, RunFolder, run_folder
+from pwatrack.report.run_folder import PAGE, REFUSAL, SUMMARY, Plots, RunFolder, run_folder
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
@@ -42,6 +44,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.version import versions
+from pwatrack.workflow.cautions import assessed
 from pwatrack.workflow.how_far import HowFar, LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
@@ -115,17 +118,19 @@ def write_result(
     effort: Effort = _NONE,
     warnings: Sequence[str] | None = None,
     summary: str | None = None,
+    first: Sequence[Row] | None = None,
     plots: Plots = "all",
     executor: Executor | None = None,
 ) -> Path:
-    """Write the files of `write_design` and trace.csv, events.csv and the plots.
+    """Write the files of `write_design` and trace.csv, events.csv, the plots, and report.html with these.
 
     Args:
         result: What `simulate(spec)` returned.
         folder: As for `write_design`.
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
         effort, warnings, summary: As for `write_design`.
-        plots: Whether pictures are drawn, or only if the run does not end as its spec expects.
+        first: What the first screen says, for report.html; worked out where it is not given.
+        plots: Whether pictures and the page are made, or only if the run does not end as its spec expects.
         executor: Who draws them, but for ensemble.png, in other processes while tables are written.
 
     Returns and raises: as `write_design`.
@@ -144,17 +149,26 @@ def write_result(
     checked = required(result.spec, result.controller, result, many)
     index |= _requirements(checked)
     with run_folder(folder) as run:
-        _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
+        certificate = _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
         pictures = begin(result, executor) if wanted else dict[str, bytes]
         _signals(run, result)
-        if many:
-            _ensemble(run, many, picture=wanted)
-        for name, content in pictures().items():
+        fan = _ensemble(run, many, picture=wanted) if many else {}
+        drawn = {**fan, **pictures()}
+        for name, content in drawn.items():
             run.place(name).write_bytes(content)
+        if wanted:
+            said = _first(result, checked, many) if first is None else first
+            run.text(PAGE, page(result, said, drawn, certificate=certificate, summary=summary))
         _summary(run, index, warnings, summary)
         run.commit(index)
     return Path(folder)
+
+
+def _first(result: SimulatedLoop, checked: Sequence[Checked], many: EnsembleResult | None) -> list[Row]:
+    """Work out what the first screen says of a run."""
+    spec, controller = result.spec, result.controller
+    return [*first_rows(spec, controller, assessed(spec, controller), checked=checked, result=result, many=many)]
 
 
 def _summary(run: RunFolder, index: dict[str, Any], warnings: Sequence[str] | None, summary: str | None) -> None:
@@ -176,6 +190,7 @@ def _result_content(result: SimulatedLoop) -> dict[str, Any]:
             "outcome": result.outcome.kind,
             "said": result.outcome.text,
             "sampled": list(result.figures.sampled),
+            "time_share": result.figures.time_share,
         },
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
@@ -204,7 +219,8 @@ def missed(
 
 def _design_files(
     run: RunFolder, spec: Spec, controller: ProvedController, start: dict[str, Any] | None, failed: Sequence[str]
-) -> None:
+) -> str:
+    """Write what a design leaves, and return the text of certificate.json."""
     keep(run, spec)
     costs = {role.name: X for claim in controller.claims_of(Costs) for role, X in claim.X.items()}
     run.json("gains.json", gain_content(controller.design.K, controller.design.L, costs))
@@ -218,6 +234,7 @@ def _design_files(
             run.json(REFUSAL, refusal_certificate(spec, practical.evidence))
     if made.controller is not None:
         run.json("controller.json", made.controller)
+    return made.certificate
 
 
 def gain_content(K: Array, L: Array, costs: Mapping[str, Array]) -> dict[str, Any]:
@@ -382,8 +399,11 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
-def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> None:
-    """Write a row for each member, and draw all; a time that never comes, and a figure that it has not, are empty."""
+def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> dict[str, bytes]:
+    """Write a row for each member, and return the picture of all, by name.
+
+    A time that never comes, and a figure that a member has not, are empty.
+    """
     kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
     header, drawn = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
@@ -395,11 +415,12 @@ def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> None:
         for number, (start, values, numbers, end) in enumerate(zip(drawn, errors, counts, ends, strict=True), 1):
             row = [*map(repr, start), *(repr(v) if np.isfinite(v) else "" for v in values), *numbers]
             writer.writerow([number, *row, end])
-    if picture:
-        from pwatrack.report.plots.canvas import png
-        from pwatrack.report.plots.spread import fan
+    if not picture:
+        return {}
+    from pwatrack.report.plots.canvas import png
+    from pwatrack.report.plots.spread import fan
 
-        run.place("ensemble.png").write_bytes(png(fan(many)))
+    return {"ensemble.png": png(fan(many))}
 
 
 def _index(spec: Spec, effort: Effort) -> dict[str, Any]:

@@ -18,14 +18,22 @@ from pwatrack.spec.yaml_tree import WRITTEN
 
 def keep(run: RunFolder, spec: Spec) -> None:
     """Put what was read of a spec, and of the tables that it refers to, beside its run: the folder may be moved."""
-    with suppress(PwatrackError, OSError, ValueError):  # it has gone, or was changed since
-        text = spec_bytes(spec.path) if spec.text is None else spec.text.encode()
-        if hashlib.sha256(text).hexdigest() != spec.sha256:
+    with suppress(PwatrackError, OSError, ValueError):  # a table has gone
+        text = spec_text(spec)
+        if text is None:
             return
         run.place(SPEC if spec.text is None else WRITTEN).write_bytes(text)
         for k, name in enumerate(referenced_names(text)):
             table = _content(spec.path.parent / name, outside=True)  # it was allowed to be there
             run.place(_table(k)).write_bytes(table)
+
+
+def spec_text(spec: Spec) -> bytes | None:
+    """Return a spec as it was read; None where its file has gone, or was changed since."""
+    with suppress(PwatrackError, OSError, ValueError):
+        text = spec_bytes(spec.path) if spec.text is None else spec.text.encode()
+        return text if hashlib.sha256(text).hexdigest() == spec.sha256 else None
+    return None
 
 
 def load(path: Path, parameters: Mapping[str, float | str]) -> Spec:

@@ -31,14 +31,16 @@ Plots = Literal["all", "failed", "none"]  # which runs have pictures
 INDEX = "run.json"  # says how the run ended and names its files; written last
 REFUSAL = "refusal.json"  # the proof of a refusal
 SUMMARY = "summary.txt"  # all that was found, for people
+PAGE = "report.html"  # likewise, with pictures and proofs, for a browser
 SPEC = "spec.txt"  # as the run read it; no .yaml, or a batch over a folder of runs would take it for one of its specs
 INCOMPLETE = "incomplete"  # the verdict while files are moved: no run
 
 _FORMAT = "pwatrack run 1"
 _NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
-    rf"{re.escape(WRITTEN)}|{re.escape(SPEC)}|{re.escape(SUMMARY)}|"
+    rf"{re.escape(WRITTEN)}|{re.escape(SPEC)}|{re.escape(SUMMARY)}|{re.escape(PAGE)}|"
     r"(tracking_error|observer_error|outputs|input|cells|states|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
+    r"nonlinearities\.png|"
     r"portrait_[1-9]\d*\.png|table_[1-9]\d*\.csv"
 )
 _PROOFS = ("certificate.json", REFUSAL)  # last to come and first to go, but for the index

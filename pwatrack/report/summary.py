@@ -22,6 +22,7 @@ from pwatrack.report.figures import (
     load_content,
     measures,
     member_figures,
+    percent,
     states_unit,
 )
 from pwatrack.report.parameters import largest_text, run_rows
@@ -35,6 +36,7 @@ from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _SIGNALS = 6  # that are printed of all that are tracked
+_CELLS = 6  # of a part of the loop that are printed with the time in them: those with the most
 
 
 def print_design(
@@ -102,6 +104,7 @@ def print_result(
         table.add_row("estimate", f"of {name} at the end: {estimate}, and {size} acts")
     _add(table, (("uncertain", text) for text in run_rows(result)))
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
+    _add(table, (("time in", text) for text in _share_texts(result.figures.time_share)))
     off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
@@ -120,6 +123,15 @@ def print_result(
     _repair_rows(table, result)
     _add(table, (("remark", remark) for remark in result.remarks))
     console.print(table)
+
+
+def _share_texts(shares: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    """Yield how much of the time each part of the loop that changes cells is in each."""
+    for part, cells in shares.items():
+        most = sorted(cells.items(), key=lambda one: -one[1])
+        said = ", ".join(f"{name} {percent(share)}" for name, share in most[:_CELLS])
+        if len(cells) > 1:
+            yield f"{part}: {said}" + f", {len(cells) - _CELLS:,} others" * (len(cells) > _CELLS)
 
 
 def _step_text(figures: Mapping[str, Any], name: str, result: SimulatedLoop) -> str:

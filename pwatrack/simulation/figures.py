@@ -14,7 +14,7 @@ from pwatrack.control.bounds import Form
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.enclosure import Enclosing, Segments, Transitions
 from pwatrack.simulation.flow import Mode
-from pwatrack.simulation.trace import last_tenth
+from pwatrack.simulation.trace import Trace, last_tenth
 
 _STILL = 1e-9  # of the size of a signal: by less it does not move
 _BAND = 0.02  # of what an output has to go, or of the amplitude of its reference
@@ -49,6 +49,9 @@ class Figures:
     overshoot: Mapping[str, float]  # how far each output goes beyond y_∞, as a share of |h|. Likewise.
     lowest: Mapping[str, float] = field(default_factory=dict)  # how low and how high what has limits gets, by name
     highest: Mapping[str, float] = field(default_factory=dict)
+    # the share of the time that each part of the loop is in each of the cells that it comes to: of the plant, of the
+    # observer, … by name. From event to event, so exact where no mode change is in doubt.
+    time_share: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sampled: tuple[str, ...] = ()  # which sizes are at the samples only, by these names: to enclose them took too long
 
     @staticmethod
@@ -187,9 +190,9 @@ class Measuring:
     _last_tenth: float = 0.0  # when it began
     _visited: set[Mode] = field(default_factory=set)
     _within: dict[str, Enclosing] = field(default_factory=dict)  # at all times
-    _range: Array = field(
-        default_factory=lambda: np.zeros((2, 0))
-    )  # lowest and highest at the samples, of what has limits
+    _range: Array = field(default_factory=lambda: np.zeros((2, 0)))  # at the samples, of what has limits
+    _until: float | None = None  # how long each part was in which cell is known up to there, in s
+    _stays: dict[tuple[int, int], float] = field(default_factory=dict)  # part, cell: s
 
     def __post_init__(self) -> None:
         self._moves = [Move(self.bands.get(name)) for name in self.outputs]
@@ -232,6 +235,7 @@ class Measuring:
         self._observer = float(block.observer_error[-1])
         self._changes += len(block.trace.events)
         self._visited |= block.trace.visited()
+        self._stay(block.trace)
         for k, move in enumerate(self._moves):
             move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)
@@ -242,6 +246,29 @@ class Measuring:
                     within.see(segments)
                 elif tail < len(size):
                     within.see(segments.since(self._last_tenth))
+
+    def _stay(self, trace: Trace) -> None:
+        """Add how long each part was in each of its cells since what was seen before."""
+        events = trace.events
+        first = float(trace.t[0]) if self._until is None else self._until
+        self._until = max(float(trace.t[-1]), events[-1].t if events else first)
+        lengths = np.diff([first, *(event.t for event in events), self._until])
+        modes = [events[0].before if events else trace.first_mode, *(event.after for event in events)]
+        for k, cells in enumerate(np.array(modes).T):
+            for cell, seconds in enumerate(np.bincount(cells, lengths).tolist()):
+                if seconds:
+                    self._stays[k, cell] = self._stays.get((k, cell), 0.0) + seconds
+
+    def _shares(self) -> dict[str, dict[str, float]]:
+        """Return the share of the time in each cell by part; cells of one name count as one."""
+        found: dict[str, dict[str, float]] = {}
+        whole = sum(seconds for (k, _), seconds in self._stays.items() if k == 0)
+        parts = () if self.loop is None else self.loop.flow.parts
+        for (k, cell), seconds in sorted(self._stays.items()) if parts else ():
+            part = parts[k]
+            shares = found.setdefault(part.name, {})
+            shares[part.cells[cell]] = shares.get(part.cells[cell], 0.0) + seconds / whole
+        return found
 
     def figures(self, blocks: Iterable[Response]) -> Figures:
         """Return the figures of all that was seen, given the same blocks once more."""
@@ -273,6 +300,7 @@ class Measuring:
             },
             overshoot={name: move.overshoot for name, move in moves.items() if move.distance},
             **ranges,
+            time_share=self._shares(),
             sampled=(*(name for name in sizes if name not in known), *(ranges if between is None else ())),
         )
 

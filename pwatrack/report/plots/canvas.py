@@ -31,17 +31,27 @@ COLUMNS = 2000  # of a picture: more times than this cannot be told apart in pri
 ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
 _PAD = 1 / 24  # inches between what panels need, and around it
 _FIRST = (0.6, 0.05, 0.2, 0.3)  # inches that a panel may need to the left, right, above and below
+_AROUND, _BELOW = 1.2, 0.4  # inches: of a picture above its panels, and of a panel below what is drawn, about
+_SIZE, _SMALL = 9, 7  # points of what is written along an axis; the other where there is little room
+_LETTER, _FEWEST = 0.0075, 8  # inches of a letter for each point; letters of a line at least
 _ROUNDS = 3  # of measuring: ticks change with the size of a panel, but seldom more than once
 
 
 def canvas(
     result: SimulatedLoop, title: str, mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its panels in the order of their numbers in the mosaic."""
-    figure = Figure(figsize=(WIDTH, height))
-    FigureCanvasAgg(figure)
+    """Return a figure of a run and its panels in the order of their numbers in the mosaic."""
     conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant))
     lines = [*textwrap.wrap(result.spec.name, 90), *textwrap.wrap(f"({conditions})" if conditions else "", 100), title]
+    return sheet(lines, mosaic, height=height, ratios=ratios)
+
+
+def sheet(
+    lines: Sequence[str], mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure under some lines, and its panels in the order of their numbers in the mosaic."""
+    figure = Figure(figsize=(WIDTH, height))
+    FigureCanvasAgg(figure)
     figure.set_layout_engine(_Panels(figure.suptitle(plain("\n".join(lines)), fontsize=10)))
     panels: dict[int, Axes] = figure.subplot_mosaic(mosaic, height_ratios=ratios)
     return figure, [panels[key] for key in sorted(panels)]
@@ -60,12 +70,26 @@ def png(figure: Figure) -> bytes:
 def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     """Name both axes, and show from the first to the last of these times, or of whatever goes to the right."""
     axes.set_xlabel(x, fontsize=9)
-    axes.set_ylabel(plain(y), fontsize=9)
+    room = _height(axes)
+    size = _SIZE if len(y) < room / (_LETTER * _SIZE) else _SMALL
+    kept = y.replace("+ ", "+\u00a0").replace("- ", "-\u00a0")  # a sign stays with what follows
+    lines = textwrap.wrap(kept, max(_FEWEST, int(room / (_LETTER * size))), max_lines=4, placeholder=" …")
+    axes.set_ylabel(plain("\n".join(lines).replace("\u00a0", " ")), fontsize=size)
     axes.set_xlim(shown[0], shown[-1])
     axes.tick_params(labelsize=8)
-    axes.yaxis.get_offset_text().set_fontsize(8)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
+
+
+def _height(axes: Axes) -> float:
+    """Return about how high a panel will be, in inches."""
+    spec: Any = axes.get_subplotspec()
+    figure: Any = axes.get_figure()
+    ratios = np.array(spec.get_gridspec().get_height_ratios())
+    share = float(ratios[spec.rowspan.start : spec.rowspan.stop].sum() / ratios.sum())
+    return float(figure.get_size_inches()[1] - _AROUND) * share - _BELOW
 
 
 def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
@@ -122,19 +146,21 @@ class _Panels(LayoutEngine):
         pad, (_, height) = _PAD * fig.dpi, fig.bbox.size
         self._title.set_y(1 - pad / height)
         below = height - self._title.get_window_extent().height - 2 * pad
+        first = np.array([axes.get_subplotspec().colspan.start for axes in panels])
         needs = np.tile(np.array(_FIRST) * fig.dpi, (len(panels), 1))
         _place(panels, needs + pad, fig.bbox.size, below)
         for _ in range(_ROUNDS):
             ticks = _ticks(panels)
             needs = np.array([_needs(axes) for axes in panels])
-            offsets = [axes.yaxis.label.get_position()[0] - axes.bbox.x0 for axes in panels]
+            offsets = np.array([axes.yaxis.label.get_position()[0] - axes.bbox.x0 for axes in panels])
+            furthest = np.array([offsets[first == column].min() for column in first])
+            thick = [axes.yaxis.label.get_window_extent().width for axes in panels]
+            needs[:, 0] = np.maximum(needs[:, 0], thick - furthest)  # names in line
             _place(panels, needs + pad, fig.bbox.size, below)
             if _ticks(panels) == ticks:
                 break
-        first = [axes.get_subplotspec().colspan.start for axes in panels]
-        for axes, column in zip(panels, first, strict=True):
-            furthest = min(offset for offset, c in zip(offsets, first, strict=True) if c == column)
-            axes.yaxis.set_label_coords(furthest / axes.bbox.width, 0.5)
+        for axes, offset in zip(panels, furthest, strict=True):
+            axes.yaxis.set_label_coords(offset / axes.bbox.width, 0.5)
 
 
 def _needs(axes: Axes) -> tuple[float, float, float, float]:

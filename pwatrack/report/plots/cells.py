@@ -1,6 +1,6 @@
 """Which cells a run goes through: over time, and in phase portraits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,11 @@ from matplotlib.transforms import Bbox
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.model.pwa import linear_form_text
+from pwatrack.report.figures import percent
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
+from pwatrack.report.stays import stays
 from pwatrack.spec.expression import LinearForm
 from pwatrack.workflow.result import SimulatedLoop
-
-_MOST_ROWS = 40  # of cells in a picture
-_LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again
 
 
 def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Figure:
@@ -80,41 +79,17 @@ def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], b
 
 
 def active_cells(result: SimulatedLoop) -> Figure:
-    """Draw which cell plant, observer and generator are in, and at which limit an input is, over time."""
-    trace, parts = result.response.trace, result.loop.flow.parts
-    stays = trace.stays()
-    seen = [{part.cells[mode[k]] for mode, _, _ in stays} for k, part in enumerate(parts)]
-    rows = [
-        _grouped([name for name in dict.fromkeys(part.cells) if name in names], part.cells)
-        for part, names in zip(parts, seen, strict=True)
-    ]
-    title = f"Active cells: {result.figures.mode_changes} changes"
-    heights = [max(0.9, 0.3 + 0.22 * len(names)) for names in rows]
+    """Draw which cell plant, observer and generator are in, and at which limit an input is, over time; and how much."""
+    parts = list(stays(result, COLUMNS))
+    title = f"Active cells, with the share of the time in each: {result.figures.mode_changes} changes"
+    heights = [max(0.9, 0.3 + 0.22 * len(rows)) for _, rows in parts]
     mosaic = [[k] for k in range(len(parts))]
     figure, panels = canvas(result, title, mosaic, height=1.4 + sum(heights), ratios=heights)
-    for k, (axes, part, names) in enumerate(zip(panels, parts, rows, strict=True)):
-        for row, group in enumerate(names.values()):
-            bars = np.array([(start, end) for mode, start, end in stays if part.cells[mode[k]] in group])
-            axes.broken_barh(joined(bars, trace.t[-1] / COLUMNS), (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=0)
-        axes.set_yticks(range(len(names)), [plain(name) for name in names], fontsize=8)
-        axes.set_ylim(len(names) - 0.4, -0.6)
-        label(axes, "time t (s)" if axes is panels[-1] else "", part.name, trace.t)
+    for axes, (part, rows) in zip(panels, parts, strict=True):
+        for row, stay in enumerate(rows):
+            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=0)
+        names = [f"{plain(stay.name)}  {percent(stay.share)}" for stay in rows]
+        axes.set_yticks(range(len(rows)), names, fontsize=8)
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        label(axes, "time t (s)" if axes is panels[-1] else "", part, result.response.t)
     return figure
-
-
-def _grouped(names: Sequence[str], cells: Sequence[str]) -> dict[str, set[str]]:
-    """Return the rows of a picture, each with the cells that it shows: so many that there is room for them."""
-    shown = names if len(names) <= _MOST_ROWS else names[: _MOST_ROWS - 1]
-    rows = {
-        name if len(name) <= _LONGEST else f"{name[:_LONGEST]}… (cell {cells.index(name) + 1})": {name}
-        for name in shown
-    }
-    others = set(names[len(shown) :])
-    return rows | ({f"{len(others):,} other cells": others} if others else {})
-
-
-def joined(bars: Array, dot: float) -> list[tuple[float, float]]:
-    """Return (start, length) of bars (start, end) in order, those joined that are nearer to each other than a dot."""
-    apart = np.flatnonzero(bars[1:, 0] - bars[:-1, 1] > dot)
-    starts, ends = bars[np.append(0, apart + 1), 0], bars[np.append(apart, -1), 1]
-    return list(zip(starts.tolist(), (ends - starts).tolist(), strict=True))

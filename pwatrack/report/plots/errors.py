@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, number_text
 from pwatrack.report.figures import error_unit, states_unit
 from pwatrack.report.plots.canvas import ACTUAL, BAND, BOUND, REQUIRED, ROUNDING, canvas, label, legend, limits, plain
 from pwatrack.simulation.trace import last_tenth
@@ -16,6 +16,7 @@ from pwatrack.workflow.result import SimulatedLoop
 _Kind = Literal["output", "state", "estimate"]  # of what errors are: see `Form`
 _MOST = 8  # panels of single errors
 _BEYOND = 3.0  # times the largest error: how much of a band is shown
+_DEPTH = 1e-6  # of where rounding begins: how far below it an error is shown
 _HIGH, _LOW = 1.6, 0.85  # inches of a panel, where there are one or two and where there are more
 
 
@@ -24,7 +25,10 @@ def tracking_error(result: SimulatedLoop) -> Figure:
     controller, response, unit = result.controller, result.response, error_unit(result.spec, result.controller)
     kind, names = controller.tracking, controller.error_names
     desired = response.tracked_d if kind == "output" else response.x_d
-    title = f"Tracking error: at most {result.final_error:.1e} {unit}".rstrip() + " in the last tenth of the time"
+    title = (
+        f"Tracking error: at most {number_text(result.final_error, '.2g')} {unit}".rstrip()
+        + " in the last tenth of the time"
+    )
     title += ", at the samples" * ("final_error" in result.figures.sampled)
     bound = result.bands.get((kind, 0)) if len(names) == 1 else result.tracking_bound
     figure, panels = _panels(result, title, kind, names, response.tracking_error, desired, response.error_sizes)
@@ -42,7 +46,7 @@ def observer_error(result: SimulatedLoop) -> Figure:
     """Draw each observer error over time within its proved band, and ‖x − x̂‖, logarithmic (Figure 2)."""
     states, response = result.spec.problem.plant.states, result.response
     error, unit = response.observer_error, states_unit(result.spec)
-    title = f"Observer error: {error[-1]:.1e} {unit}".rstrip() + " at the end"
+    title = f"Observer error: {number_text(error[-1], '.2g')} {unit}".rstrip() + " at the end"
     off, x = response.x_hat - response.x, response.x
     figure, panels = _panels(result, title, "estimate", states, off, x, response.state_sizes)
     bound = result.bands.get(("estimate", 0)) if len(states) == 1 else result.observer_bound
@@ -98,7 +102,7 @@ def _magnitude(axes: Axes, result: SimulatedLoop, size: Array, bound: Array | No
     low, high = axes.get_ylim()
     if low < floor:
         axes.axhspan(low, floor, color="0.92", linewidth=0, label="rounding of the simulation")
-        axes.set_ylim(low, max(high, floor))
+        axes.set_ylim(max(low, _DEPTH * floor), max(high, floor))
     label(axes, "time t (s)", f"{name}, logarithmic", t)
 
 

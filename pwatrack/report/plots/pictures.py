@@ -6,6 +6,7 @@ from functools import partial
 from matplotlib.figure import Figure
 
 from pwatrack.report.plots.cells import active_cells, portrait
+from pwatrack.report.plots.elements import elements_of, nonlinearities
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
 from pwatrack.workflow.result import SimulatedLoop
@@ -31,6 +32,10 @@ def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
     if result.response.estimates.shape[1]:
         of_result["estimates.png"] = estimates
     found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
+    problem = result.spec.problem
+    if elements_of(problem.plant):
+        draw = partial(nonlinearities, result.spec.name, problem.plant, problem.units, result.response.x)
+        found["nonlinearities.png"] = draw
     for k, forms in enumerate(result.spec.scenario.portraits, 1):
         found[f"portrait_{k}.png"] = partial(portrait, result, forms)
     return found

@@ -15,9 +15,14 @@ from pwatrack.spec.requirement import RANGES
 from pwatrack.workflow.result import SimulatedLoop
 
 _MOST = 12  # states in a picture
+_BESIDE = 4  # signals that have their start beside the whole: more panels take long to draw
+_INSETS = 6  # panels below each other that have room for insets
 _ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
 _SPIKE, _EARLY = 3.0, 0.02  # so many times the rest is a spike, in so much of the time at the start
 _STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the scale
+_MOVES = 1e-9  # of the size of a reference: by less it does not move from sample to sample
+_AFTER = 1.1  # times the end of a move: so far the start is shown where one goes on
+_INSET = 0.55  # of a panel: the room of an inset, with what is written around it
 _ROOM = 0.06  # of a scale, above and below what it shows
 _FLAT = 0.01  # of the size of a curve: an axis spans at least that
 _Curve = tuple[Array, str, dict[str, Any]]  # of each signal, (K, ·); its label and style
@@ -126,35 +131,56 @@ def _over_time(
     *,
     ends: bool = False,
 ) -> Figure:
-    """Draw curves of signals below each other; of one alone, where it is long and `ends` are asked for, both ends."""
-    t, period = result.response.t, result.controller.trajectory.exosystem.period
-    end = min(float(t[-1]), 5 * period if period else float(t[-1]) / 10)  # five periods of the reference, or a tenth
-    enlarged = ends and len(names) == 1 and end < _ENLARGED * (t[-1] - t[0])
-    if enlarged:
+    """Draw curves of signals below each other; of one alone, where it is long and `ends` are asked for, both ends.
+
+    Of a few the start is beside the whole.
+    """
+    t, end = result.response.t, _start(result)
+    enlarged, count = ends and end < _ENLARGED * (t[-1] - t[0]), len(names)
+    whole, start, last = (t[0], t[-1]), (float(t[0]), end), (float(t[-1]) - end, float(t[-1]))
+    if enlarged and count == 1:
         figure, panels = canvas(result, title, [[0, 0], [1, 2]], height=5.2)
-        spans = [(t[0], t[-1]), (float(t[0]), end), (float(t[-1]) - end, float(t[-1]))]
-        panels[1].set_title("start", fontsize=9)
-        panels[2].set_title("end", fontsize=9)
-        for small in panels[1:]:
-            small.locator_params(axis="x", nbins=6)
+        spans, of = [whole, start, last], [0, 0, 0]
+    elif enlarged and count <= _BESIDE:
+        mosaic = [[k, k, count + k] for k in range(count)]
+        figure, panels = canvas(result, title, mosaic, height=1.2 + 1.7 * count)
+        spans, of = [whole] * count + [start] * count, [*range(count)] * 2
     else:
-        figure, panels = _column(result, title, len(names))
-        spans = [(t[0], t[-1])] * len(names)
-    for k, (axes, (first, last)) in enumerate(zip(panels, spans, strict=True)):
-        signal = 0 if enlarged else k
-        shown = (t >= first) & (t <= last)
-        drawn = [values[shown, signal] for values, _, _ in curves]
-        for values, (_, text, style) in zip(drawn, curves, strict=True):
-            axes.plot(t[shown], values, label=text, **style)
+        figure, panels = _column(result, title, count)
+        spans, of = [whole] * count, list(range(count))
+    for k, (axes, span, signal) in enumerate(zip(panels, spans, of, strict=True)):
+        shown = (t >= span[0]) & (t <= span[1])
+        for values, text, style in curves:
+            axes.plot(t[shown], values[shown, signal], label=text, **style)
         constant = lines(axes, signal)
-        below = "time t (s)" if enlarged or axes is panels[-1] else ""
-        label(axes, below, _labelled(result, names[signal]), (first, last))
-        styled = [(values, style) for values, (_, _, style) in zip(drawn, curves, strict=True)]
-        inset = _zoom(axes, t[shown], styled, constant, whole=signal < k)
+        below = "time t (s)" if signal == count - 1 else ""
+        beside = "" if k >= count > 1 else _labelled(result, names[signal])
+        label(axes, below, beside, span)
+        styled = [(values[shown, signal], style) for values, _, style in curves]
+        inset = _zoom(axes, t[shown], styled, constant, whole=span != whole or count > _INSETS)
         if inset is not None:
             lines(inset, signal)
-    legend(panels[0], columns=5, others=panels[1:])
+        if span != whole:
+            axes.locator_params(axis="x", nbins=6 if count == 1 else 4)
+    for axes, text in zip(panels[count:], ("start", "end")[: 1 + (count == 1)], strict=False):
+        axes.set_title(text, fontsize=9)
+    legend(panels[0], columns=3 if len(panels) == 2 * count else 5, others=panels[1:])
     return figure
+
+
+def _start(result: SimulatedLoop) -> float:
+    """Return how long a start is worth a panel of its own, in s: five periods of the reference, or a tenth of the time.
+
+    A move of the reference that goes on then is shown to its end, and a little longer.
+    """
+    t, y_d, period = result.response.t, result.response.tracked_d, result.controller.trajectory.exosystem.period
+    if period:
+        return min(float(t[-1]), 5 * period)
+    end = float(t[-1]) / 10
+    moves = (np.abs(np.diff(y_d, axis=0)) > _MOVES * np.abs(y_d).max(axis=0)).any(axis=1)
+    rests = t[1:][~moves & (t[1:] > end)]
+    moving = moves[t[1:] <= end][-1:].any()
+    return min(float(t[-1]), _AFTER * float(rests[0])) if moving and len(rests) else end
 
 
 def _column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
@@ -168,7 +194,8 @@ def _zoom(
 ) -> Axes | None:
     """Show curves (K,); where a spike at the start squashes the rest, that has an inset, which is returned.
 
-    Lines at constant values are shown where they do not squash it either; so are bands, up to the edge.
+    The inset is above or below the rest, whose scale makes room for it. Lines at constant values are shown where they
+    do not squash what is shown; so are bands, up to the edge.
     """
     values = np.array([curve for curve, _ in curves])
     low, high = float(values.min()), float(values.max())
@@ -178,12 +205,19 @@ def _zoom(
     _show(axes, low, high, size, lines)
     if whole or not high - low > _SPIKE * (most - least) > _SPIKE * _STILL * size:
         return None
-    below = (least + most) / 2 > (low + high) / 2  # the rest is in the upper half
-    inset: Axes = axes.inset_axes((0.45, 0.12 if below else 0.45, 0.5, 0.43))
+    bottom, top = axes.get_ylim()
+    below = least - bottom > top - most
+    if below:
+        axes.set_ylim(min(bottom, top - (top - least) / (1 - _INSET)), top)
+    else:
+        axes.set_ylim(bottom, max(top, bottom + (most - bottom) / (1 - _INSET)))
+    inset: Axes = axes.inset_axes((0.45, 0.13 if below else 1.13 - _INSET, 0.5, _INSET - 0.26))
     for curve, style in curves:
         inset.plot(t[late], curve[late], **style)
     inset.set_xlim(t[late][0], t[-1])
     inset.tick_params(labelsize=6)
+    for axis in (inset.xaxis, inset.yaxis):
+        axis.get_offset_text().set_fontsize(6)
     inset.set_title("without the start", fontsize=7, pad=2)
     _show(inset, least, most, size, lines)
     return inset

@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, number_text
 from pwatrack.control.pareto import Front
 from pwatrack.report.figures import error_unit
 from pwatrack.report.plots.canvas import (
@@ -50,7 +50,7 @@ def fan(many: EnsembleResult) -> Figure:
     """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic."""
     kept, result = many.ensemble, many.nominal
     unit = error_unit(result.spec, result.controller)
-    largest = f"{max(figures.final_error for figures in many.figures):.1e} {unit}".rstrip()
+    largest = f"{number_text(max(figures.final_error for figures in many.figures), '.2g')} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
     title += ", at the samples" * any("final_error" in figures.sampled for figures in many.figures)

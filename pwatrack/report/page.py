@@ -1,0 +1,113 @@
+"""The page of a run: the first screen, pictures, which cells it was in, and each claim with how to check it."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+from pwatrack.control.controller import Row
+from pwatrack.report.document import document, escaped, image
+from pwatrack.report.figures import percent
+from pwatrack.report.kept_spec import spec_text
+from pwatrack.report.run_folder import SUMMARY, json_text
+from pwatrack.report.screen import joined
+from pwatrack.report.stays import Stay, stays
+from pwatrack.workflow.result import SimulatedLoop
+
+_FIRST = ("outputs.png", "tracking_error.png", "input.png", "ensemble.png")  # of the pictures; then by name
+_WIDTH, _LEAST = 1000, 0.5  # dots of a row of bars, and of a bar
+_MOST = 20_000  # characters of the numbers of a claim, and of a spec, that are in the page: the files have all
+_CHECK = (
+    "To check it: <code>pwatrack verify</code> with the folder of this run decides it again from certificate.json, "
+    "{keys}; so does <code>python audit certificate.json</code>, a copy of the folder pwatrack/lmi/audit alone."
+)
+
+
+def page(
+    result: SimulatedLoop,
+    first: Sequence[Row],
+    pictures: Mapping[str, bytes],
+    *,
+    certificate: str,
+    summary: str | None = None,
+) -> str:
+    """Return the page of a run, which needs no other file and no network.
+
+    Args:
+        result: The run.
+        first: What the first screen says.
+        pictures: PNG files by name.
+        certificate: The text of certificate.json.
+        summary: That of summary.txt, where there is one.
+    """
+    name, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
+    body = Template(files("pwatrack.report").joinpath("page.html").read_text(encoding="utf-8")).substitute(
+        title=escaped(name),
+        screen=_rows(joined(first)),
+        pictures="".join(_picture(file, pictures[file]) for file in ordered if file in pictures),
+        cells="".join(_part(part, rows, result.end) for part, rows in stays(result, _WIDTH)),
+        claims="".join(_claims(result, json.loads(certificate))) + _unfolds(f"All of {SUMMARY}", summary or ""),
+        spec=_spec(result),
+    )
+    return document(name, body)
+
+
+def _rows(rows: Sequence[Row]) -> str:
+    """Return labels and sentences; what is missed or warned of is marked."""
+    marked = {"missed": ' class="missed"', "warning": ' class="warning"'}
+    return "".join(f"<dt>{escaped(one)}</dt><dd{marked.get(one, '')}>{escaped(text)}</dd>" for one, text in rows)
+
+
+def _picture(file: str, png: bytes) -> str:
+    name = file.removesuffix(".png").replace("_", " ")
+    return f'<figure><button type="button">{image(png, name)}</button><figcaption>{escaped(name)}</figcaption></figure>'
+
+
+def _part(part: str, rows: Sequence[Stay], end: float) -> str:
+    """Return the cells of a part of the loop up to a time (s): name, share of the time, and a row of bars."""
+    found = [f'<h3>{escaped(part)}</h3><table class="time">']
+    for row in rows:
+        bars = "".join(
+            f"M{_WIDTH * t / end:.1f} 0h{wide:.1f}v1h-{wide:.1f}z"
+            for t, length in row.bars
+            for wide in [max(_WIDTH * length / end, _LEAST)]
+        )
+        drawn = f'<svg viewBox="0 0 {_WIDTH} 1" preserveAspectRatio="none"><path d="{bars}"/></svg>'
+        found.append(f'<tr><th>{escaped(row.name)}</th><td class="n">{percent(row.share)}</td><td>{drawn}</td></tr>')
+    ends = f"<span>0 s</span><span>{end:g} s</span>"
+    return "".join([*found, f'<tr><th></th><td></td><td><div class="note ends">{ends}</div></td></tr></table>'])
+
+
+def _claims(result: SimulatedLoop, certificate: Mapping[str, Any]) -> Iterator[str]:
+    """Yield each claim: in a line what it is, unfolded what it says, its statement, its numbers and how to check it."""
+    words, controller = result.spec.words, result.controller
+    for claim in controller.claims:
+        rows = list(claim.rows(words, controller))
+        keys = [key for key in claim.nothing if certificate.get(key)]
+        if not rows and not keys:
+            continue
+        parts = [f"<dl>{_rows(rows)}</dl>"]
+        if keys:  # else it says why it is not proved
+            parts.append(f"<p>Statement: {escaped(claim.statement)}</p>")
+            parts.append(f'<p class="note">{_CHECK.format(keys=", ".join(keys))}</p>')
+            parts.append(_unfolds("Its numbers", json_text({key: certificate[key] for key in keys})))
+        title = (type(claim).__doc__ or type(claim).__name__).partition("\n")[0].rstrip(".")
+        yield f'<details class="claim"><summary>{escaped(title)}</summary>{"".join(parts)}</details>'
+
+
+def _spec(result: SimulatedLoop) -> str:
+    """Return the spec as it was read, and what was set in it from outside."""
+    spec = result.spec
+    changed = "".join(f"<p>with {escaped(f'{name} = {value}')}</p>" for name, value in spec.overrides.items())
+    text = spec_text(spec)
+    said = "it is not there any more as it was read" if text is None else _cut(text.decode())
+    return f"{changed}<pre>{escaped(said)}</pre>"
+
+
+def _unfolds(title: str, text: str) -> str:
+    return f"<details><summary>{escaped(title)}</summary><pre>{escaped(_cut(text))}</pre></details>" if text else ""
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _MOST else f"{text[:_MOST]}\n… and {len(text) - _MOST:,} characters more"
