@@ -94,7 +94,7 @@ def _height(axes: Axes) -> float:
 
 def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
     """Explain the curves above the panel, each name once; those of other panels too."""
-    named = {}
+    named = dict[str, Any]()
     for panel in (axes, *others):
         handles, texts = panel.get_legend_handles_labels()
         named |= {text: handle for text, handle in zip(texts, handles, strict=True) if text not in named}
