@@ -39,7 +39,16 @@ class TubeProgram:
     _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def smallest(
-        self, g: Array, kick: Array, rows: Array, weights: Array, *, a: float, b: float, slack: float
+        self,
+        g: Array,
+        kick: Array,
+        rows: Array,
+        weights: Array,
+        *,
+        a: float,
+        b: float,
+        slack: float,
+        summed: bool = False,
     ) -> list[Array] | None:
         """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ; None where none is found.
 
@@ -49,22 +58,27 @@ class TubeProgram:
             rows, weights: c, (s, n), and of each, (s,).
             a, b: As in `clocked_tubes`.
             slack: Share of the size of what drives by which inequalities are to hold.
+            summed: As in `clocked_tubes`.
         """
         L = np.linalg.cholesky(self.near).T
         back = np.linalg.inv(L)
         F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
-        driving, kicking = g @ L.T / np.sqrt(a or np.inf), L @ kick / np.sqrt(b or np.inf)
+        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), L @ kick / np.sqrt(b or np.inf)
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
         W = (rows @ back).T * weights @ (rows @ back)
         W = W + _FADING * np.eye(len(L))
         rest = slack * np.eye(len(L))
-        pushed = rest + driving[:, :, None] * driving[:, None, :] / size
+        squares = rest + driving[:, :, None] * driving[:, None, :] / size
+        pushed, holding = (np.tile(a * rest, (len(F), 1, 1)), squares) if summed else (squares, squares[:0])
         between = self.system.between
         R = np.eye(len(L)) if between is None else L @ between.floats @ back
         jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kicking, kicking) / size) for J_j in J]
-        found = self._solved(F + a / 2 * np.eye(len(L)), pushed, jumps, (R, rest), W)
+        holds = [
+            Bound({k: (-np.eye(len(L)) / 2, np.eye(len(L)))}, X) for X in _unlike(holding) for k in range(self.count)
+        ]
+        found = self._solved(F + a / 2 * np.eye(len(L)), pushed, jumps, (R, rest), W, holds)
         return None if found is None else [size * back @ Q @ back.T for Q in found]
 
     @property
@@ -89,14 +103,19 @@ class TubeProgram:
         return [(k, k + 1, e) for k in starts for e in (k, k + 1)]
 
     def _solved(
-        self, F: Array, pushed: Array, jumps: Sequence[tuple[Array, Array]], reset: tuple[Array, Array], W: Array
+        self,
+        F: Array,
+        pushed: Array,
+        jumps: Sequence[tuple[Array, Array]],
+        reset: tuple[Array, Array],
+        W: Array,
+        holds: Sequence[Bound],
     ) -> Array | None:
         """Return Q at the knots that satisfy all inequalities, (knots, n, n), or None."""
-        size, fixed, (R, rest) = self.knots + 1, list[Bound](), reset
-        for j in range(1, self.system.parts):
-            fixed.append(self._kept(j * size - 1, j * size, R, np.eye(len(W)), rest))
-        for J, above in jumps:
-            fixed.append(self._kept(self.count - 1, 0, J, self._seen(J), above))
+        size, fixed, (R, rest) = self.knots + 1, list(holds), reset
+        ends = range(size, self.count, size)
+        fixed += [self._kept(j - 1, j, R, np.eye(len(W)), rest) for j in ends]
+        fixed += [self._kept(self.count - 1, 0, J, self._seen(J), above) for J, above in jumps]
         first = np.unique(np.linspace(0, len(F) - 1, _FIRST).astype(int)).tolist()
         for segment in self.segments:
             self._asked.setdefault(segment, list(first))
@@ -135,3 +154,8 @@ class TubeProgram:
         """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
         U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
         return np.asarray(U.T / np.sqrt(np.clip(s, self.most * float(self.system.period), 1.0))[:, None])
+
+
+def _unlike(matrices: Array) -> Array:
+    """Return the matrices without repetitions."""
+    return np.asarray(np.unique(matrices, axis=0)) if len(matrices) else matrices
