@@ -285,14 +285,37 @@ def test_less_the_nominal_loop_only_what_is_otherwise_is_left(
 LINEAR = re.sub(r"(?s)  cells:.*?reference", "  A: [[0, 1], [0, -0.5]]\nreference", FRICTION)
 
 
-def test_of_a_plant_with_one_cell_the_bound_is_what_the_run_shows(tmp_path: Path) -> None:
-    (tmp_path / "plant.yaml").write_text(LINEAR, encoding="utf-8")
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_of_a_plant_with_one_cell_the_bound_is_what_the_run_shows(delay: int, tmp_path: Path) -> None:
+    text = LINEAR.replace("sample_time: 0.1}", f"sample_time: 0.1, delay: {delay}}}")
+    (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
     spec = load_spec(tmp_path / "plant.yaml")
     controller = design(spec)
     claim = the_bounds(controller)
     assert not claim.tubes
     assert claim.ends_below(controller)["output", 0] == pytest.approx(simulate(spec, controller).final_error, rel=0.02)
     assert claim.ends_below(controller)["estimate", 0] == 0
+
+
+@pytest.mark.parametrize("delay", [1, 2])
+def test_bounds_where_inputs_are_late_hold_for_switchings_and_in_the_run(delay: int, tmp_path: Path) -> None:
+    text = FRICTION.replace(
+        "sample_time: 0.1}", f"sample_time: 0.05, delay: {delay}}}\n  quantum: {{y: 1e-4, u: 0.01}}"
+    )
+    (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
+    spec = load_spec(tmp_path / "plant.yaml")
+    controller = design(spec)
+    claim = the_bounds(controller)
+    assert {kind for kind, _ in claim.tubes} == {"noise", "input", "nominal", "moved"}
+    for channel, each in claim.tubes.items():
+        for form in (("output", 0), ("input", 0)):
+            c = row(claim.errors, form).floats
+            for one in each:
+                size = one.sizes[claim.forms.index(form)]
+                assert max(worst_found(claim, channel, c, seed, summed=one.summed) for seed in range(3)) <= size
+    assert not audit(json.dumps(design_certificate(spec, controller)))[1]
+    final, bound = simulate(spec, controller).final_error, claim.ends_below(controller)["output", 0]
+    assert 0.02 * bound < final <= bound
 
 
 def test_nothing_moves_where_no_plane_is_near(sampled: tuple[Spec, ProvedController]) -> None:

@@ -24,7 +24,7 @@ from pwatrack.claims.exact_text import decimal, double, packed, read_channel, re
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
-from pwatrack.control.sampled_disturbances import Acting, driven, level, row
+from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
@@ -60,7 +60,7 @@ class SampledBounds(Claim):
     statement: ClassVar[str] = (
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
         "signal: of a disturbance of a state equation, of what is measured off at ticks, of the steps of u, beside nu, "
-        "of what R x_nom moves in a substep, beside rho, and of R (x_nom - x_d), which acts by F less F of the mean "
+        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the mean "
         "of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it is "
         "there. With Q linear in time between the knots of each substep and g and h how it acts "
         "between ticks and at them, c Q c^T <= size^2 at all knots, "
@@ -139,10 +139,10 @@ class SampledBounds(Claim):
 
     def _off(self, levels: Mapping[Channel, Sequence[Array]]) -> Array:
         """Return how far predictions may be from x_d + e₀ across each plane, (K, P)."""
-        H, n = self.acts.planes, len(self.errors.plant.B)
-        rows = np.zeros((len(H), self.errors.order))
-        rows[:, :n], rows[:, sum(self.errors.widths[:2]) :][:, :n] = H, H
-        return self._sum(levels, len(rows), lambda one: one.spread(rows))
+        rows = across(self.errors, self.acts.planes)
+        flat = np.concatenate(rows)
+        each = self._sum(levels, len(flat), lambda one: one.spread(flat))
+        return np.asarray(each.reshape(len(each), *rows.shape[:2]).max(axis=1))
 
     def _total(self, levels: Mapping[Channel, Sequence[Array]]) -> dict[Form, Array]:
         if levels.keys() != self.acts.squares.keys():
@@ -168,7 +168,8 @@ class SampledBounds(Claim):
         elif ends:
             always = words.limits(_shown({form: float(each.max()) for form, each in self.from_zero.items()}))
             yield "in this run", f"{ends} in the end in the sampled loop, for any switching, between ticks too"
-            yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
+            if not self.errors.gains.delay:
+                yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
             yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
@@ -176,8 +177,8 @@ class SampledBounds(Claim):
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         """Return how large each signal of the sampled loop may be: what all leaves, and what the start does."""
         n, gains = len(controller.plant.B), self.errors.gains
-        if not (seen.sampled and self.anywhere):
-            return {}
+        if gains.delay or not (seen.sampled and self.anywhere):
+            return {}  # what waits at the start is not seen
         e, delta, h = seen.start[:n], seen.start[n:], gains.sample_time  # after the tick at t = 0
         rho = np.zeros(self.errors.R.shape[0])
         first = np.concatenate([e, gains.K @ (e + delta[:n]), delta, rho])
@@ -250,7 +251,7 @@ def seen(controller: ProvedController) -> Iterator[Form]:
 def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
-        if loop.proof is not None and asked.acting is not None and not (loop.gains.delay or loop.gains.jitter):
+        if loop.proof is not None and asked.acting is not None and not loop.gains.jitter:
             errors = SampledErrors.of(controller.plant, loop.gains)
             acts = asked.acting(controller, errors)
             if acts is not None:

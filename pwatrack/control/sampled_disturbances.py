@@ -1,17 +1,18 @@
 """How what acts on a sampled loop enters its errors z = (e, ν, Δ, σ, ρ), and how signals are read off these.
 
-Let ω be u as it is put out less K (x̂ − x_d) at the tick less u_ff(t). The nominal loop, of the mean A₀ of the cells
+Let ω be u as it is put out less ν less u_ff(t). The nominal loop, of the mean A₀ of the cells
 and without noise, has e₀' = A₀ e₀ + B (K e₀(t_k) + ω), e₀(0) = 0, all of which is known from the reference. With t_p
 where a substep began, z less (e₀, K e₀(t_k), 0, 0, R (e₀ − e₀(t_p))) obeys the same as z, with (A_i − A₀) e₀ in place
 of B ω, and with R (e₀ − e₀(t_p)) beside what R x_d moves. Rows of A_i − A₀ are in the span of R, which has a column in
 which one row alone is 1: with the unit vectors ε_k of these columns (A_i − A₀) e₀ = Σ_k (A_i − A₀) ε_k R_k e₀. So what
 is left is driven, with `sampled_error`, by scalars, each as large as it likes:
 
-    ("disturbance", k)   d in the k-th state equation: e' + d ε_k and Δ' − d ε_k, so that ρ' is what it was
-    ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d
+    ("disturbance", k)   d in the k-th state equation: e' + d ε_k and all Δ' − d ε_k, so that ρ' is what it was
+    ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d; where
+                         inputs are late only (Δ_0, σ_0)⁺
     ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
     ("nominal", k)       R_k e₀: it acts by F_i − F₀
-    ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k
+    ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
 V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at ticks: so it is at most the mean
 square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
@@ -86,40 +87,44 @@ def faded(added: Array, fall: float) -> Array:
 
 def driven(errors: SampledErrors, channel: Channel) -> Drive:
     """Return how 1 of what acts enters z; what is measured counts with the other sign."""
-    kind, k = channel
-    n, m, N, q = _sizes(errors)
-    nothing = zero(n + m + N + q, 1)
+    (kind, k), (n, m, N, *_), d, order = channel, errors.widths, errors.predicted, errors.order
+    nothing, first = zero(order, 1), n + m + d * N
     if kind == "noise":
         M = BallMatrix.of(errors.gains.M[:, [k]])
-        kick = BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
-        return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(q, 1)))
+        kick = zero(m, 1) if errors.gains.delay else BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
+        return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(order - n - m - N, 1)))
     if kind == "disturbance":
         one = _unit(n, k)
-        return Drive(held=nothing, between=above(one, zero(m, 1), zero(n, 1) - one, zero(N - n + q, 1)))
+        off = above(zero(n, 1) - one, zero(N - n, 1))
+        return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":
-        at, rest = pivots(errors.R.centre)[k], zero(m + N, 1)
+        at = pivots(errors.R.centre)[k]
         column = errors.mean.part(range(n), [at])
-        nominal = above(column, rest, errors.R @ column)
-        return Drive(held=_unit(n + m + N + q, at), between=nothing - nominal)
-    place = n + k if kind == "input" else n + m + N + k
-    return Drive(held=_unit(n + m + N + q, place), between=nothing)
+        nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column])
+        return Drive(held=_unit(order, at), between=nothing - nominal)
+    if kind == "input":
+        return Drive(held=_unit(order, n + k), between=nothing)
+    return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)]), between=nothing)
 
 
 def row(errors: SampledErrors, form: Form) -> BallMatrix:
-    """Return c, (1, order): of an input it reads ν, to which ω adds."""
+    """Return c, (1, order): of an input it reads ν, to which ω adds; of what is predicted the newest."""
     kind, k = form
-    n, m, N, q = _sizes(errors)
+    n, m, *_ = errors.widths
     if kind == "output":
         c = errors.plant.exact.tracked.part([k], range(n)).transpose()
-        return above(c, zero(m + N + q, 1)).transpose()
+        return above(c, zero(errors.order - n, 1)).transpose()
     place = {"state": 0, "input": n, "estimate": n + m}[kind] + k
-    return _unit(n + m + N + q, place).transpose()
+    return _unit(errors.order, place).transpose()
 
 
-def _sizes(errors: SampledErrors) -> tuple[int, int, int, int]:
-    """Return how many entries e, ν, (Δ, σ) and ρ have."""
-    (n, m), N = errors.plant.B.shape, errors.plant.observed.C.shape[1]
-    return n, m, N, errors.R.shape[0]
+def across(errors: SampledErrors, H: Array) -> Array:
+    """Return of each prediction the rows that read H (x̃ − x_d) off z, (d, P, order), for rows H on x."""
+    n, m, N, *_ = errors.widths
+    rows = np.zeros((errors.predicted, len(H), errors.order))
+    for i, each in enumerate(rows):
+        each[:, :n], each[:, n + m + i * N :][:, :n] = H, H
+    return rows
 
 
 def _unit(size: int, k: int) -> BallMatrix:

@@ -46,7 +46,8 @@ def acting(
 ) -> Acting | None:
     """Return how large what acts gets up to a time (s), substep by substep; None where that is not known.
 
-    It is not for an η that is played back, where loads move x_d, where inputs are late, and for very many samples.
+    It is not for an η that is played back, where loads move x_d, and for very many samples. Where inputs are late it
+    begins with x̂ = x = x_d as the first input comes.
 
     Args:
         controller: With the gains of `errors`.
@@ -62,7 +63,7 @@ def acting(
     played = trajectory.preview is not None or any(rows.any() for rows in moving)
     end = trajectory.exosystem.end
     duration = duration if end is None else min(duration, end)
-    if played or gains.delay or duration / gains.sample_time * gains.substeps > _MOST:
+    if played or duration / gains.sample_time * gains.substeps > _MOST:
         return None
     walk = _Walk(controller, errors, runs)
     try:
@@ -121,6 +122,7 @@ class _Walk:
         self._kind = controller.tracking
         self._step = errors.gains.sample_time / self._parts
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
+        self._ticks = 0  # before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
 
     def walked(self, eta: Array, duration: float) -> Acting:
@@ -183,7 +185,9 @@ class _Walk:
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
             known = zip(x_d[:: self._parts], ticks, strict=False)
             u = np.array([u_ff + self._runs.K @ (now - wanted) for now, (wanted, u_ff) in known])
+            u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0
             yield self._beside(flow, trace, x_d @ self._R.T, u)
+            self._ticks += len(u)
 
     def _beside(self, flow: Flow, trace: Trace, moving: Array, u: Array) -> tuple[Segments, IntArray]:
         """Return segments with e₀ and what is held in each of them before ζ; each block begins at a tick."""
@@ -199,10 +203,12 @@ class _Walk:
         for i, substep in enumerate(at.tolist()):
             if substep != last:
                 if substep // self._parts != last // self._parts or last < 0:
+                    e = e * (self._ticks + substep // self._parts > self._runs.sampling.delay)
                     held[:m] = u[substep // self._parts] + self._runs.K @ e
                 held[m:], last = moving[substep] + self._R @ e, substep
             before[i, :n], before[i, n:] = e, held
             e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
+        self._ticks = 0  # before the block
         self._e, self._largest = e, np.maximum(self._largest, np.abs(before[:, n:]).max(axis=0))
         return replace(segments, F=F, zeta=np.hstack([before, segments.zeta])), at
 
@@ -220,7 +226,10 @@ class _Walk:
 
 
 def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield x_d and u_ff as the program has them, tick by tick, from η̂(0) on; loads that it estimates move no x_d."""
+    """Yield x_d and u_ff as the program has them for what it holds from each tick on, from η̂(0) at the first.
+
+    Loads that it estimates move no x_d. Before the first input that it puts out it has 0.
+    """
     follows = runs.follows
     assert follows is not None
     loads = runs.sizes["N"] - runs.sizes["n"]
@@ -228,6 +237,11 @@ def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
     guards, x_d, u_ff, generator = (X[..., loads:] for X in rows)
     starts, w, tick = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy(), 0
     begins = sorted(starts)
+    for early in follows.early:
+        s = np.concatenate([eta, early, [1.0]])
+        cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
+        yield x_d[cell] @ s, np.zeros(u_ff.shape[1])
+        eta = generator[cell] @ s
     while True:
         while begins and begins[0][0] <= tick:
             begin = begins.pop(0)

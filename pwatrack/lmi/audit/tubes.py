@@ -1,6 +1,7 @@
 """What is left of the errors of a loop that is sampled: tubes that depend on the time since a tick."""
 
 from fractions import Fraction
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -23,8 +24,8 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
-    if whole["sampled"]["delay"] or number(whole["sampled"]["jitter"]):
-        raise AuditFault("bounds of a sampled loop are of one without delay and jitter")
+    if number(whole["sampled"]["jitter"]):
+        raise AuditFault("bounds of a sampled loop are of one without jitter")
     tubes = Tubes(whole["sampled"], loop)
     faults = [f"the sampled loop, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
     channels = {tuple(entry["channel"]) for entry in found}
@@ -40,7 +41,7 @@ class Tubes:
     def __init__(self, sampled: Any, loop: Loop) -> None:
         self.errors = errors = AuditedErrors(sampled, loop)
         self.parts, self.period = sampled["substeps"] if errors.changes else 1, number(sampled["sample_time"])
-        self.sizes = errors.n, errors.m, errors.N, errors.order - errors.kept
+        self.sizes = errors.n, errors.m, errors.N, len(errors.R[0])
 
     def faults(self, entry: Any) -> list[str]:
         """Return what is wrong with one tube."""
@@ -96,27 +97,27 @@ class Tubes:
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
-        e, nu, Delta, rho = ([Fraction(0)] * size for size in self.sizes)
-        nothing = column([e, nu, Delta, rho])
+        d, (e, nu, Delta, rho) = self.errors.predicted, ([Fraction(0)] * size for size in self.sizes)
+        nothing = column([e, nu, *d * [Delta], *d * [rho]])
         if kind == "noise":
             M = [v for (v,) in self.errors.M.column(k).centre]
-            kick = [v for (v,) in (self.errors.K @ column([M[:n]])).centre]
-            return nothing, nothing, column([e, kick, M, rho])
+            kick = nu if self.errors.late else [v for (v,) in (self.errors.K @ column([M[:n]])).centre]
+            return nothing, nothing, column([e, kick, M, *(d - 1) * [Delta], *d * [rho]])
         if kind == "nominal":
-            at, mean = self.errors.at_rows[k], self.errors.mean
+            at, mean = self.errors.at_rows[k], self.errors.mean.column(self.errors.at_rows[k])
             e[at] = Fraction(1)
-            nominal = stacked(stacked(mean.column(at), column([nu, Delta])), self.errors.R @ mean.column(at))
-            return column([e, nu, Delta, rho]), -nominal, nothing
+            nominal = [mean, column([nu, *d * [Delta]]), *d * [self.errors.R @ mean]]
+            return column([e, nu, *d * [Delta], *d * [rho]]), -reduce(stacked, nominal), nothing
         if kind == "disturbance":
             e[k], Delta[k] = Fraction(1), Fraction(-1)
         else:
             (nu if kind == "input" else rho)[k] = Fraction(1)
-        one = column([e, nu, Delta, rho])
+        one = column([e, nu, *d * [Delta], *d * [rho]])
         return (nothing, one, nothing) if kind == "disturbance" else (one, nothing, nothing)
 
     def row(self, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off z."""
-        n, m, N, q = self.sizes
+        n, m, N, _ = self.sizes
         tracked = self.errors.plant.tracked
         counts = {"output": len(tracked[0]), "state": n, "input": m, "estimate": N}
         if kind not in counts:
@@ -124,9 +125,9 @@ class Tubes:
         place(k, counts[kind])
         if kind == "output":
             row = tracked.row(k)
-            return stacked(row.T, column([[Fraction(0)] * (m + N + q)])).T
+            return stacked(row.T, column([[Fraction(0)] * (self.errors.order - n)])).T
         at = {"state": 0, "input": n, "estimate": n + m}[kind] + k
-        return Ball([[Fraction(int(j == at)) for j in range(n + m + N + q)]])
+        return Ball([[Fraction(int(j == at)) for j in range(self.errors.order)]])
 
 
 def holds(form: Form, g: Ball) -> bool:
