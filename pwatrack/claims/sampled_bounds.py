@@ -60,8 +60,8 @@ class SampledBounds(Claim):
     statement: ClassVar[str] = (
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
         "signal: of a disturbance of a state equation, of what is measured off at ticks, of the steps of u, beside nu, "
-        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the mean "
-        "of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it is "
+        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
+        "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it is "
         "there. With Q linear in time between the knots of each substep and g and h how it acts "
         "between ticks and at them, c Q c^T <= size^2 at all knots, "
         "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0 at both ends e of each segment, "
