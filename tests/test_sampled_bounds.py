@@ -282,6 +282,61 @@ def test_less_the_nominal_loop_only_what_is_otherwise_is_left(
             assert np.abs(left).max() > 1e-6
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_where_ticks_are_late_a_disturbance_makes_up_for_it(seed: int, friction: tuple[Spec, ProvedController]) -> None:
+    """In time of the program, with λ any, x_d' any: (λ − 1) (x_d + e₀)' less what R e₀ says of it acts too."""
+    plain, random = the_bounds(friction[1]).errors, np.random.default_rng(seed)
+    errors = replace(plain, gains=replace(plain.gains, jitter=0.3 * plain.gains.sample_time))
+    F, (n, m, N, _) = np.array([X.floats for X in errors.clocked.F]), errors.widths
+    paces = F[:, 0, 1]  # of position, of which all cells say that it changes as speed does
+    K, R, A0, B, order = errors.gains.K, errors.R.floats, errors.mean.floats, friction[1].plant.B, errors.order
+    nominal, moved = (driven(errors, (kind, 0)) for kind in ("nominal", "moved"))
+    drives = [driven(errors, ("disturbance", k)).between.floats[:, 0] for k in range(n)]
+    at = [int(np.flatnonzero(nominal.held.floats)[0])]
+    z, left, e, dt = np.zeros(order), np.zeros(order), np.zeros(n), plain.gains.sample_time / 4
+    assert sorted({*paces.round(9).tolist()}) == [0.7, 1.3]
+    for _ in range(20):
+        z, left, held, p = errors.tick.floats @ z, errors.tick.floats @ left, K @ e, R @ e
+        for _ in range(4):
+            omega, x_d = float(random.normal()), random.normal(size=n)
+            shares = random.dirichlet(np.full(len(F), 0.1))
+            A, pace = np.tensordot(shares, F, 1), float(shares @ paces)
+            whole, of_e = np.zeros((2 * order + n + 1, 2 * order + n + 1)), slice(2 * order, 2 * order + n)
+            whole[:order, :order] = whole[order : 2 * order, order : 2 * order] = A
+            pushed, late = B[:, 0] * omega, (pace - 1) * x_d
+            off = late + (pace - 1) * pushed
+            whole[:n, -1], whole[n + m : n + m + n, -1] = pace * pushed + late, -off
+            whole[n + m + N : order, -1] = R @ pushed
+            whole[order : 2 * order, of_e] = (
+                A @ (nominal.held.floats + moved.held.floats) + nominal.between.floats
+            ) @ R
+            whole[order : 2 * order, -1] = -(A @ moved.held.floats @ p) + np.array(drives).T @ (
+                off + (pace - 1) * B @ held
+            )
+            whole[order : 2 * order, of_e] += (pace - 1) * np.array(drives).T @ (A0 - A0[:, at] @ R)
+            whole[of_e, of_e], whole[of_e, -1] = A0, B @ held + pushed
+            z, left, e = np.split((expm(whole * dt) @ [*z, *left, *e, 1.0])[:-1], [order, 2 * order])
+            assert z == pytest.approx(left + np.concatenate([e, held, np.zeros(N), R @ e - p]), abs=1e-10)
+            assert np.abs(left).max() > 1e-6
+
+
+def test_bounds_where_ticks_come_early_and_late(tmp_path: Path) -> None:
+    """Those of a jitter of nearly 0 are those of none, and of more they are more; the auditor has it too."""
+    ends = list[float]()
+    for jitter in (0, 1e-9, 0.002):
+        sampling = f"{{nominal: 0.05, jitter: {jitter}}}" if jitter else "0.05"
+        text = FRICTION.replace("{sample_time: 0.1}", f"{{sample_time: {sampling}}}")
+        (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
+        spec = load_spec(tmp_path / "plant.yaml")
+        controller = design(spec)
+        claim = the_bounds(controller)
+        assert {kind for kind, _ in claim.tubes} == {"nominal", "moved"} | ({"disturbance"} if jitter else set())
+        assert not audit(json.dumps(design_certificate(spec, controller)))[1]
+        ends.append(claim.ends_below(controller)["output", 0])
+    assert ends[1] == pytest.approx(ends[0], rel=0.1)
+    assert ends[2] > 1.2 * ends[0]
+
+
 LINEAR = re.sub(r"(?s)  cells:.*?reference", "  A: [[0, 1], [0, -0.5]]\nreference", FRICTION)
 
 

@@ -177,8 +177,8 @@ class SampledBounds(Claim):
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         """Return how large each signal of the sampled loop may be: what all leaves, and what the start does."""
         n, gains = len(controller.plant.B), self.errors.gains
-        if gains.delay or not (seen.sampled and self.anywhere):
-            return {}  # what waits at the start is not seen
+        if gains.delay or gains.jitter or not (seen.sampled and self.anywhere):
+            return {}  # what waits at the start is not seen, nor what time the program counts
         e, delta, h = seen.start[:n], seen.start[n:], gains.sample_time  # after the tick at t = 0
         rho = np.zeros(self.errors.R.shape[0])
         first = np.concatenate([e, gains.K @ (e + delta[:n]), delta, rho])
@@ -251,7 +251,7 @@ def seen(controller: ProvedController) -> Iterator[Form]:
 def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
-        if loop.proof is not None and asked.acting is not None and not loop.gains.jitter:
+        if loop.proof is not None and asked.acting is not None:
             errors = SampledErrors.of(controller.plant, loop.gains)
             acts = asked.acting(controller, errors)
             if acts is not None:

@@ -14,6 +14,9 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("nominal", k)       R_k e₀: it acts by F_i − F₀
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
+Where λ times as much time passes as the program counts, in which e' is λ times as large and Δ' has (1 − λ) of it more,
+(λ − 1) ((x_d + e₀)' − Σ_k A₀ ε_k R_k e₀) is one more disturbance, and others are λ times as large.
+
 V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at ticks: so it is at most the mean
 square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
 

@@ -28,6 +28,7 @@ from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.rational import pivots
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.desired import along, desired_flow
 from pwatrack.simulation.enclosure import Segments, spans
@@ -47,7 +48,7 @@ def acting(
     """Return how large what acts gets up to a time (s), substep by substep; None where that is not known.
 
     It is not for an η that is played back, where loads move x_d, and for very many samples. Where inputs are late it
-    begins with x̂ = x = x_d as the first input comes.
+    begins with x̂ = x = x_d as the first input comes. Time is that of the program.
 
     Args:
         controller: With the gains of `errors`.
@@ -73,7 +74,11 @@ def acting(
     if not all(np.isfinite(X).all() for X in (*found.squares.values(), *found.beside.values())):
         return None
     squares, beside, count = dict(found.squares), dict(found.beside), len(found.near)
-    squares |= _outside(controller, conditions, errors, duration, count)
+    for channel, each in _outside(controller, conditions, errors, duration, count).items():
+        late = np.sqrt(squares.get(channel, np.zeros(count)))  # d acts for as long as passes
+        squares[channel] = (
+            late + np.sqrt(each) * (float(errors.paces[-1]) if channel[0] == "disturbance" else 1.0)
+        ) ** 2
     if conditions.quanta is not None:
         for k, steps in enumerate((conditions.quanta.inputs / 2).tolist()):
             squares["input", k] = np.full(count, steps**2)
@@ -119,48 +124,55 @@ class _Walk:
         self._plant, self._trajectory, self._runs = controller.plant, controller.trajectory, runs
         self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, errors.gains.substeps
         self._tracked = np.eye(len(self._A0)) if controller.tracking == "state" else controller.plant.tracked
-        self._kind = controller.tracking
+        self._kind, at = controller.tracking, pivots(errors.R.centre)
+        self._rest = self._A0 - self._A0[:, at] @ self._R
+        self._late = float(errors.paces[-1] - 1)  # by how much more of its time passes than the program counts
         self._step = errors.gains.sample_time / self._parts
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
-        self._ticks = 0  # before the block
+        self._flow, self._ticks = desired_flow(controller.plant, controller.trajectory), 0  # those before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
         count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.partition.H
         signals = m + len(self._tracked)
-        squares, areas, first = np.zeros((count, 2 * q)), np.zeros((count, 2 * q)), 0
+        squares, areas, first = np.zeros((count, 2 * q + self._n)), np.zeros((count, 2 * q)), 0
         most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
         for segments, at in self._segments(eta, duration):
             found, at = spans(segments, self._rows), at + first
-            np.add.at(squares, at, found.squares[:, : 2 * q])
+            np.add.at(squares, at, np.delete(found.squares, range(2 * q, 2 * q + signals + len(H)), axis=1))
             np.add.at(areas, at, found.areas[:, : 2 * q])
             size = np.maximum(np.abs(found.low), np.abs(found.high))
             np.maximum.at(most, at, size[:, 2 * q : 2 * q + signals])
             apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
-            np.minimum.at(near, at, apart[:, 2 * q + signals :])
+            np.minimum.at(near, at, apart[:, 2 * q + signals :][:, : len(H)])
             first = int(at[-1]) + 1
         squares, areas = squares * OVER_POWERS / self._step, areas * OVER_POWERS / self._step
-        moved = np.concatenate([self._largest[m:], self._largest[m:]])
-        squares[:, np.sqrt(squares.max(axis=0)) <= _ROUNDING * moved] = 0.0
+        least = _ROUNDING * np.concatenate([self._largest[m:], self._largest[m:], np.zeros(self._n)])
+        squares[:, np.sqrt(squares.max(axis=0)) <= least] = 0.0
+        squares[:, 2 * q :] *= self._late**2
         most[:, :m][most[:, :m] <= _ROUNDING * self._largest[:m]] = 0.0
         names: list[Channel] = [("nominal", k) for k in range(q)]
         names += [("moved", k) for k in range(q)]
+        names += [("disturbance", k) for k in range(self._n)]
         forms: list[Form] = [("input", k) for k in range(m)]
         forms += [(self._kind, k) for k in range(len(self._tracked))]
         return Acting(
             squares=dict(zip(names, squares.T, strict=True)),
-            means=dict(zip(names[q:], areas.T[q:], strict=True)),
+            means=dict(zip(names[q : 2 * q], areas.T[q:], strict=True)),
             beside=dict(zip(forms, most.T, strict=True)),
             planes=H,
             near=near,
         )
 
     def _rows(self, mode: Mode) -> Array:
-        """Return rows on (e₀, what is held, η̂, w, 1): R e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes."""
+        """Return rows on (e₀, what is held, η̂, w, 1).
+
+        They are R e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, and (x_d + e₀)' less A₀ ε_k R_k e₀.
+        """
         n, m, q, planes = self._n, self._m, self._q, self._plant.partition
         u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
-        p, R, H, C = x_d.shape[1], self._R, planes.H, self._tracked
+        p, R, H, C, B = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B
         of_planes = H @ x_d
         of_planes[:, -1] += planes.h
         zero = np.zeros
@@ -171,13 +183,14 @@ class _Walk:
                 np.hstack([zero((m, n)), np.eye(m), zero((m, q)), -u_ff]),
                 np.hstack([C, zero((len(C), m + q + p))]),
                 np.hstack([H, zero((len(H), m + q)), of_planes]),
+                np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
             ]
         )
 
     def _segments(self, eta: Array, duration: float) -> Iterator[tuple[Segments, IntArray]]:
         """Yield the walk block by block, with the substep of the block that each segment is in."""
         system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta)
-        flow, z0 = desired_flow(self._plant, self._trajectory), np.concatenate([eta, system.w0, [1.0]])
+        flow, z0 = self._flow, np.concatenate([eta, system.w0, [1.0]])
         resets = pieces(system, slice(p, p + len(system.w0)))
         for trace in trace_blocks(
             flow, z0, duration=duration, sample_time=self._step, resets=resets, most=BLOCK * self._parts
@@ -208,7 +221,6 @@ class _Walk:
                 held[m:], last = moving[substep] + self._R @ e, substep
             before[i, :n], before[i, n:] = e, held
             e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
-        self._ticks = 0  # before the block
         self._e, self._largest = e, np.maximum(self._largest, np.abs(before[:, n:]).max(axis=0))
         return replace(segments, F=F, zeta=np.hstack([before, segments.zeta])), at
 

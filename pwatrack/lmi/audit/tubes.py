@@ -24,8 +24,6 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
-    if number(whole["sampled"]["jitter"]):
-        raise AuditFault("bounds of a sampled loop are of one without jitter")
     tubes = Tubes(whole["sampled"], loop)
     faults = [f"the sampled loop, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
     channels = {tuple(entry["channel"]) for entry in found}
