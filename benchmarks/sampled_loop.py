@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 
 from pwatrack import Spec, load_spec
+from pwatrack.arrays import Array
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds, seen
@@ -74,7 +75,7 @@ def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[
     times, reached = list[float](), list[float]()
     for claim in SampledBounds.prove(controller, replace(asked, acting=_all_of_size_one)):
         known = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
-        for channel, tube in claim.tubes.items():
+        for channel, (tube, *_) in claim.tubes.items():
             for form, size in zip(seen(controller), tube.sizes, strict=True):
                 if form[0] == controller.tracking and known[channel].get(form):
                     times.append(size / known[channel][form])
@@ -85,9 +86,10 @@ def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[
 
 def _all_of_size_one(controller: ProvedController, _: object) -> Acting:
     plant = controller.plant
-    found: dict[Channel, float] = {("disturbance", k): 1.0 for k in range(len(plant.B))}
-    found |= {("noise", k): 1.0 for k in range(len(plant.C))}
-    return Acting(sizes=found, off=np.zeros(plant.B.shape[1]))
+    found: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
+    found |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
+    H = plant.partition.H
+    return Acting(squares=found, means={}, beside={}, planes=H, near=np.zeros((1, len(H))))
 
 
 def main(paths: list[Path]) -> None:

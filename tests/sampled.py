@@ -127,8 +127,11 @@ def form_at(proof: ClockedProof, parts: int, part: int, share: float) -> Array:
     return np.asarray(one + (place - k) * (other - one))
 
 
-def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int) -> float:
-    """Return |c z| for a switching at random with what acts at its worst: known from what each stretch adds to c z."""
+def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int, *, summed: bool = False) -> float:
+    """Return |c z| for a switching at random with what acts at its worst: known from what each stretch adds to c z.
+
+    What is summed acts in one stretch, in which its integral is 1.
+    """
     errors, random = claim.errors, np.random.default_rng(seed)
     system, drive = errors.clocked, driven(errors, channel)
     F = np.array([X.floats for X in system.F])
@@ -138,16 +141,17 @@ def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int) -> 
     held, between = drive.held.floats, drive.between.floats
     kick = None if drive.ticks is None else drive.ticks.floats
     shares = random.dirichlet(np.full(len(F), 0.1), size=parts * fine)
-    last, total = c.copy(), 0.0
+    last, total, most = c.copy(), 0.0, 0.0
     for _ in range(150):  # backwards from the end
         for part in reversed(range(parts)):
             for k in reversed(range(fine)):
                 A = np.tensordot(shares[part * fine + k], F, 1)
                 g = A @ held + between
                 whole = expm(np.block([[A, g], [np.zeros((1, n + 1))]]) * dt)
-                total += abs(float((last @ whole[:n, n:]).item()))
+                added = abs(float((last @ whole[:n, n:]).item()))
+                total, most = total + added, max(most, added / dt)
                 last = last @ whole[:n, :n]
             last = last @ (R if part else np.eye(n))
         total += 0.0 if kick is None else abs(float((last @ kick).item()))
         last = last @ J
-    return total
+    return most if summed else total

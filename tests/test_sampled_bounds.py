@@ -7,21 +7,26 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
+from scipy.integrate import simpson
 from scipy.linalg import expm
 
 from pwatrack import Spec, design, load_spec, simulate
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.sampled_disturbances import driven, row
+from pwatrack.control.program import program
+from pwatrack.control.sampled_disturbances import Acting, driven, level, row
+from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.clocked import Clocked
-from pwatrack.lmi.clocked_tubes import Drive, tube
+from pwatrack.lmi.clocked_tubes import Drive, Tube, tube
 from pwatrack.lmi.tube_program import TubeProgram
+from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation import acting
 from pwatrack.simulation.desired import desired_flow
@@ -117,39 +122,96 @@ def test_what_drives_beside_a_state_is_what_that_state_drives() -> None:
 def test_no_switching_and_nothing_that_acts_is_above_a_tube(seed: int, sampled: tuple[Spec, ProvedController]) -> None:
     _, controller = sampled
     claim = the_bounds(controller)
-    assert {kind for kind, _ in claim.tubes} == {"disturbance", "noise", "input", "ripple", "moved"}
-    for channel, one in claim.tubes.items():
-        c = row(claim.errors, ("output", 0)).floats
-        found = worst_found(claim, channel, c, seed)
-        assert 0.05 * one.sizes[0] < found <= one.sizes[0]
+    assert {kind for kind, _ in claim.tubes} == {"disturbance", "noise", "input", "nominal", "moved"}
+    assert [one.summed for one in claim.tubes["moved", 0]] == [False, True]
+    for channel, each in claim.tubes.items():
+        for one in each:
+            c = row(claim.errors, ("output", 0)).floats
+            found = worst_found(claim, channel, c, seed, summed=one.summed)
+            assert 0.05 * one.sizes[0] < found <= one.sizes[0]
+
+
+@pytest.mark.parametrize("kind", ["noise", "disturbance", "moved"])
+def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance", "moved"]) -> None:
+    """V' = −a V + a d², V⁺ = (1 − b) V + b d², v' = −(a / 2) v + |d|, for d that jumps eight times in a substep."""
+    random, parts, fine, K = np.random.default_rng(5), 3, 8, 90
+    gains = SampledGains(K=np.eye(1), M=np.eye(1), sample_time=0.3, substeps=parts)
+    d = random.normal(size=(K, fine)) * (random.random((K, 1)) < 0.3)
+    squares, means = (d**2).mean(axis=1), np.abs(d).mean(axis=1)
+    if kind == "noise":
+        squares = np.repeat(d[::parts, 0] ** 2, parts)
+    acts = Acting(
+        squares={(kind, 0): squares}, means={(kind, 0): means}, beside={}, planes=np.eye(1), near=np.zeros((K, 1))
+    )
+    one = Tube(
+        Q=(), a=0.0 if kind == "noise" else 0.8, b=0.2 if kind == "noise" else 0.0, sizes=(), summed=kind == "moved"
+    )
+    found, V, dt = level(acts, (kind, 0), one, gains), 0.0, 0.1 / fine
+    for k in range(K):
+        if kind == "noise" and k % parts == 0:
+            V = 0.8 * V + 0.2 * d[k, 0] ** 2
+        for each in np.abs(d[k]):
+            if kind == "disturbance":
+                V = each**2 + (V - each**2) * np.exp(-0.8 * dt)
+            if kind == "moved":
+                V = 2.5 * each + (V - 2.5 * each) * np.exp(-0.4 * dt)
+            assert found[k] >= (V if kind == "moved" else V**0.5) * (1 - 1e-12)
+        if k % 10 == 9:
+            assert found[k] <= 1.1 * (V if kind == "moved" else V**0.5) + 0.1
+
+
+def fine_walk(spec: Spec, controller: ProvedController, start: list[float], fine: int) -> tuple[Array, Array, Array]:
+    """Return x_d, e₀ and u − u_ff of the nominal loop at so many points of each substep, both ends in.
+
+    What the program holds is what it has at ticks: a run of one cell, below, shows it too.
+    """
+    claim, trajectory, plant = the_bounds(controller), controller.trajectory, controller.plant
+    gains = claim.errors.gains
+    runs = program(controller, Conditions(sampling=Sampling(sample_time=gains.sample_time)))
+    holds = acting.held(runs, np.array(start))
+    r, step = gains.substeps, gains.sample_time / (gains.substeps * fine)
+    z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
+    trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=spec.scenario.duration, sample_time=step)
+    cell, count = trace.modes[:, 0], (len(trace.t) - 1) // (r * fine)
+    u_ff = np.einsum("kmj,kj->km", trajectory.u_ff[cell], trace.z)
+    x_d = np.einsum("knj,kj->kn", trajectory.x_d[cell], trace.z)
+    A, B = np.mean(np.unique(plant.A, axis=0), axis=0), plant.B
+    turn = expm(np.block([[A, B], [np.zeros((1, len(A) + 1))]]) * step)
+    e, found = np.zeros(len(A)), list[tuple[Array, Array, Array]]()
+    for k in range(count * r):
+        if k % r == 0:
+            wanted, known = next(holds)
+            held = known + gains.K @ (x_d[k * fine] - wanted) + gains.K @ e
+        for i in range(fine + 1):
+            at_i = k * fine + i
+            found.append((x_d[at_i], e, held - u_ff[at_i]))
+            if i < fine:
+                mean = held - (u_ff[at_i] + u_ff[at_i + 1]) / 2
+                e = (turn @ np.append(e, mean))[: len(A)]
+    return tuple(np.array(part).reshape(count * r, fine + 1, -1) for part in zip(*found, strict=True))  # type: ignore[return-value]
 
 
 @pytest.mark.parametrize("which", ["sampled", "friction"])
 def test_what_acts_is_what_the_walk_shows_in_between(which: str, request: pytest.FixtureRequest) -> None:
-    """u_ff from fine samples, less its mean over each hold; x_d + B W less what it was at the last substep."""
+    """The desired trajectory and the nominal loop in small steps, means by Simpson's rule."""
     spec, controller = request.getfixturevalue(which)
-    claim, trajectory, plant = the_bounds(controller), controller.trajectory, controller.plant
-    h, r, fine = claim.errors.gains.sample_time, claim.errors.gains.substeps, 40
-    z0 = np.concatenate([{"sampled": [0.2, 0.0], "friction": []}[which], trajectory.exosystem.w0, [1.0]])
-    step = h / (r * fine)
-    trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=spec.scenario.duration, sample_time=step)
-    cell, count = trace.modes[:, 0], (len(trace.t) - 1) // (r * fine)
-    u = np.einsum("kmj,kj->km", trajectory.u_ff[cell], trace.z)[:, 0]
-    x_d = np.einsum("knj,kj->kn", trajectory.x_d[cell], trace.z)
-    holds = np.array([u[k * r * fine : (k + 1) * r * fine + 1] for k in range(count)])
-    total = np.hstack([np.zeros((count, 1)), np.cumsum((holds[:, 1:] + holds[:, :-1]) / 2 * step, axis=1)])
-    mean = total[:, -1:] / h
-    W = mean * step * np.arange(r * fine + 1) - total
-    moving = x_d[: count * r * fine] + W[:, :-1].reshape(-1, 1) * plant.B[:, 0]
-    moving = np.vstack([moving, x_d[count * r * fine]]) @ claim.errors.R.floats.T
-    moved = [np.abs(moving[k : k + fine + 1] - moving[k]).max() for k in range(0, count * r * fine, fine)]
+    claim, plant, acts = the_bounds(controller), controller.plant, the_bounds(controller).acts
+    x_d, e, off = fine_walk(spec, controller, {"sampled": [0.2, 0.0], "friction": []}[which], 20)
+    R, count = claim.errors.R.floats, len(x_d)
+    moved = ((x_d + e - (x_d + e)[:, :1]) @ R.T)[..., 0]
+    near = np.abs((x_d + e) @ plant.partition.H.T + plant.partition.h)
     machine = 0.005 if which == "sampled" else 0.0
-    acts = claim.acts.sizes
-    assert 0.97 * np.abs(holds - mean).max() < claim.acts.off[0] - machine < 1.1 * np.abs(holds - mean).max()
-    assert acts["input", 0] - machine < 0.25 * np.abs(holds - mean).max()
-    assert acts["ripple", 0] == pytest.approx(np.abs(W).max(), rel=2e-3)
-    assert acts["moved", 0] == pytest.approx(max(moved), rel=2e-3)
-    assert which == "sampled" or abs(claim.errors.R.floats @ plant.B).max() == 1
+
+    def close(found: Array, wanted: Array, share: float) -> None:
+        assert found[:count] == pytest.approx(wanted, abs=share * wanted.max())
+
+    close(np.sqrt(acts.squares["moved", 0]), np.sqrt(simpson(moved**2, axis=1) / 20), 0.03)
+    close(acts.means["moved", 0], simpson(np.abs(moved), axis=1) / 20, 0.03)
+    close(np.sqrt(acts.squares["nominal", 0]), np.sqrt(simpson((e @ R.T)[..., 0] ** 2, axis=1) / 20), 0.03)
+    close(acts.beside["input", 0] - machine, np.abs(off).max(axis=1)[:, 0], 0.03)
+    close(acts.beside["output", 0], np.abs(e @ plant.tracked.T).max(axis=1)[:, 0], 0.03)
+    for k in range(near.shape[2]):
+        close(acts.near[:, k], near.min(axis=1)[:, k], 0.02)
 
 
 @pytest.mark.parametrize("which", ["sampled", "friction"])
@@ -157,64 +219,187 @@ def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
     which: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spec, controller = request.getfixturevalue(which)
-    claim = the_bounds(controller)
+    acts = the_bounds(controller).acts
     monkeypatch.setattr(acting, "BLOCK", 7)
-    asked = asking(spec, controller, claim.errors.gains)
+    asked = asking(spec, controller, the_bounds(controller).errors.gains)
     assert asked.acting is not None
-    found = asked.acting(controller, claim.errors)
+    found = asked.acting(controller, the_bounds(controller).errors)
     assert found is not None
-    assert found.off == pytest.approx(claim.acts.off, rel=2e-3)
-    assert found.sizes == pytest.approx(dict(claim.acts.sizes), rel=2e-3)
+    assert (found.squares.keys(), found.beside.keys()) == (acts.squares.keys(), acts.beside.keys())
+    pairs = [(found.squares[channel], each) for channel, each in acts.squares.items()]
+    pairs += [(found.means[channel], each) for channel, each in acts.means.items()]
+    pairs += [(found.beside[form], each) for form, each in acts.beside.items()]
+    for one, other in pairs:
+        assert one == pytest.approx(other, rel=1e-4, abs=1e-6 * other.max())
+    assert found.near == pytest.approx(acts.near, abs=1e-6)
 
 
 def test_noise_and_disturbances_act_as_large_as_they_are(sampled: tuple[Spec, ProvedController]) -> None:
     _, controller = sampled
-    acts = the_bounds(controller).acts.sizes
-    assert acts["disturbance", 1] == pytest.approx(0.007, rel=1e-3)
-    noise = np.abs(np.random.default_rng(1).normal(size=(601, 1)) * 1e-4).max()
-    assert acts["noise", 0] == pytest.approx(noise + 5e-6, rel=1e-3)
+    claim = the_bounds(controller)
+    acts, parts = claim.acts.squares, claim.errors.gains.substeps
+    step = claim.errors.gains.sample_time / parts
+    t = step * (np.arange(len(acts["noise", 0]))[:, None] + (np.arange(50) + 0.5) / 50)
+    drawn = 0.002 + 0.005 * np.sin(3 * t)
+    assert acts["disturbance", 1] == pytest.approx((drawn**2).mean(axis=1), rel=0.02, abs=2e-7)
+    noise = np.abs(np.random.default_rng(1).normal(size=(601, 1)) * 1e-4)[:, 0] + 5e-6
+    assert acts["noise", 0] == pytest.approx(np.repeat(noise**2, parts)[: len(t)])
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_0_in_the_mean_acts_by_its_integral(seed: int, friction: tuple[Spec, ProvedController]) -> None:
-    """z under ω that jumps and rises is what W and V = W − W(t_p) drive, B W and R B V added, at all times."""
+def test_less_the_nominal_loop_only_what_is_otherwise_is_left(
+    seed: int, friction: tuple[Spec, ProvedController]
+) -> None:
+    """z under ω that jumps and rises is e₀, and what R e₀ and what R e₀ moved drive, at all times."""
     errors, random, fine = the_bounds(friction[1]).errors, np.random.default_rng(seed), 4
-    system = errors.clocked
-    F, J = np.array([X.floats for X in system.F]), system.J[0].floats
+    system, (n, m, N, _) = errors.clocked, errors.widths
+    F, J, K = np.array([X.floats for X in system.F]), system.J[0].floats, errors.gains.K
     assert system.between is not None
-    R, dt = system.between.floats, float(system.period) / system.parts / fine
-    of_omega, of_W, of_rho = (driven(errors, (kind, 0)).held.floats for kind in ("input", "ripple", "moved"))
-    of_V, none = of_rho @ errors.R.floats @ errors.plant.B, 0 * of_W
-    S = np.array([[0, 0, 1, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0]])  # of (W, V, ω, ω')
-    z, less = np.zeros((2, errors.order))
+    B, R, A0 = friction[1].plant.B, errors.R.floats, errors.mean.floats
+    ends, dt = system.between.floats, float(system.period) / system.parts / fine
+    nominal, moved = (driven(errors, (kind, 0)) for kind in ("nominal", "moved"))
+    z, left, e, order = np.zeros(errors.order), np.zeros(errors.order), np.zeros(n), errors.order
     for _ in range(20):
-        z, less, W, V = J @ z, J @ less, 0.0, 0.0
-        jumps, slopes = random.normal(size=(2, system.parts * fine))
-        jumps -= np.mean(jumps + slopes * dt / 2)
-        for k, (omega, slope) in enumerate(zip(jumps, slopes, strict=True)):
-            if k and k % fine == 0:
-                z, less, V = R @ z, R @ less, 0.0
-            A, acts = np.tensordot(random.dirichlet(np.full(len(F), 0.1)), F, 1), [W, V, omega, slope]
-            drives = np.hstack([none, none, of_omega, none]), np.hstack([of_W, of_V, none, none])
-            both = (np.block([[A, A @ E], [np.zeros((4, len(z))), S]]) for E in drives)
-            turns = [expm(X * dt) for X in both]
-            z, less, (W, V) = (turns[0] @ [*z, *acts])[:-4], (turns[1] @ [*less, *acts])[:-4], (expm(S * dt) @ acts)[:2]
-            assert z == pytest.approx(less + of_W[:, 0] * W + of_V[:, 0] * V, abs=1e-12)
+        z, left, held = J @ z, J @ left, K @ e
+        for k in range(system.parts * fine):
+            if k % fine == 0:
+                z, left, p = (ends @ z, ends @ left, R @ e) if k else (z, left, R @ e)
+            omega, slope = random.normal(size=2)
+            A = np.tensordot(random.dirichlet(np.full(len(F), 0.1)), F, 1)
+            whole = np.zeros((2 * order + n + 2, 2 * order + n + 2))  # (z, what is left, e₀, ω, 1)
+            at_e, at_w = slice(2 * order, 2 * order + n), 2 * order + n
+            whole[:order, :order] = whole[order : 2 * order, order : 2 * order] = A
+            whole[:n, at_w] = whole[at_e, at_w] = B[:, 0]
+            whole[n + m + N : order, at_w] = (R @ B)[:, 0]
+            g, h = A @ nominal.held.floats + nominal.between.floats, A @ moved.held.floats
+            whole[order : 2 * order, at_e] = (g + h) @ R
+            whole[order : 2 * order, -1] = -(h @ p)
+            whole[at_e, at_e], whole[at_e, -1], whole[at_w, -1] = A0, B @ held, slope
+            z, left, e = np.split((expm(whole * dt) @ [*z, *left, *e, omega, 1.0])[:-2], [order, 2 * order])
+            known = np.concatenate([e, held, np.zeros(N), R @ e - p])
+            assert z == pytest.approx(left + known, abs=1e-10)
             assert np.abs(z).max() > 1e-4
-        assert abs(W) < 1e-12
+            assert np.abs(left).max() > 1e-6
 
 
-def test_what_the_input_drives_at_once_moves_with_the_ripple(tmp_path: Path) -> None:
-    """Of a tank, B = 2, with all tubes empty: between ticks 2 W is left of the level, and ω of the input."""
-    text = re.sub(r"(?s)  states.*reference", TANK, FRICTION)
+@pytest.mark.parametrize("seed", range(2))
+def test_where_ticks_are_late_a_disturbance_makes_up_for_it(seed: int, friction: tuple[Spec, ProvedController]) -> None:
+    """In time of the program, with λ any, x_d' any: (λ − 1) (x_d + e₀)' less what R e₀ says of it acts too."""
+    plain, random = the_bounds(friction[1]).errors, np.random.default_rng(seed)
+    errors = replace(plain, gains=replace(plain.gains, jitter=0.3 * plain.gains.sample_time))
+    F, (n, m, N, _) = np.array([X.floats for X in errors.clocked.F]), errors.widths
+    paces = F[:, 0, 1]  # of position, of which all cells say that it changes as speed does
+    K, R, A0, B, order = errors.gains.K, errors.R.floats, errors.mean.floats, friction[1].plant.B, errors.order
+    nominal, moved = (driven(errors, (kind, 0)) for kind in ("nominal", "moved"))
+    drives = [driven(errors, ("disturbance", k)).between.floats[:, 0] for k in range(n)]
+    at = [int(np.flatnonzero(nominal.held.floats)[0])]
+    z, left, e, dt = np.zeros(order), np.zeros(order), np.zeros(n), plain.gains.sample_time / 4
+    assert sorted({*paces.round(9).tolist()}) == [0.7, 1.3]
+    for _ in range(20):
+        z, left, held, p = errors.tick.floats @ z, errors.tick.floats @ left, K @ e, R @ e
+        for _ in range(4):
+            omega, x_d = float(random.normal()), random.normal(size=n)
+            shares = random.dirichlet(np.full(len(F), 0.1))
+            A, pace = np.tensordot(shares, F, 1), float(shares @ paces)
+            whole, of_e = np.zeros((2 * order + n + 1, 2 * order + n + 1)), slice(2 * order, 2 * order + n)
+            whole[:order, :order] = whole[order : 2 * order, order : 2 * order] = A
+            pushed, late = B[:, 0] * omega, (pace - 1) * x_d
+            off = late + (pace - 1) * pushed
+            whole[:n, -1], whole[n + m : n + m + n, -1] = pace * pushed + late, -off
+            whole[n + m + N : order, -1] = R @ pushed
+            whole[order : 2 * order, of_e] = (
+                A @ (nominal.held.floats + moved.held.floats) + nominal.between.floats
+            ) @ R
+            whole[order : 2 * order, -1] = -(A @ moved.held.floats @ p) + np.array(drives).T @ (
+                off + (pace - 1) * B @ held
+            )
+            whole[order : 2 * order, of_e] += (pace - 1) * np.array(drives).T @ (A0 - A0[:, at] @ R)
+            whole[of_e, of_e], whole[of_e, -1] = A0, B @ held + pushed
+            z, left, e = np.split((expm(whole * dt) @ [*z, *left, *e, 1.0])[:-1], [order, 2 * order])
+            assert z == pytest.approx(left + np.concatenate([e, held, np.zeros(N), R @ e - p]), abs=1e-10)
+            assert np.abs(left).max() > 1e-6
+
+
+def test_bounds_where_ticks_come_early_and_late(tmp_path: Path) -> None:
+    """Those of a jitter of nearly 0 are those of none, and of more they are more; the auditor has it too."""
+    ends = list[float]()
+    for jitter in (0, 1e-9, 0.002):
+        sampling = f"{{nominal: 0.05, jitter: {jitter}}}" if jitter else "0.05"
+        text = FRICTION.replace("{sample_time: 0.1}", f"{{sample_time: {sampling}}}")
+        (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
+        spec = load_spec(tmp_path / "plant.yaml")
+        controller = design(spec)
+        claim = the_bounds(controller)
+        assert {kind for kind, _ in claim.tubes} == {"nominal", "moved"} | ({"disturbance"} if jitter else set())
+        assert not audit(json.dumps(design_certificate(spec, controller)))[1]
+        ends.append(claim.ends_below(controller)["output", 0])
+    assert ends[1] == pytest.approx(ends[0], rel=0.1)
+    assert ends[2] > 1.2 * ends[0]
+
+
+LINEAR = re.sub(r"(?s)  cells:.*?reference", "  A: [[0, 1], [0, -0.5]]\nreference", FRICTION)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_of_a_plant_with_one_cell_the_bound_is_what_the_run_shows(delay: int, tmp_path: Path) -> None:
+    text = LINEAR.replace("sample_time: 0.1}", f"sample_time: 0.1, delay: {delay}}}")
     (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
-    controller = design(load_spec(tmp_path / "plant.yaml"))
+    spec = load_spec(tmp_path / "plant.yaml")
+    controller = design(spec)
     claim = the_bounds(controller)
-    empty = {channel: replace(one, sizes=(0.0,) * len(one.sizes)) for channel, one in claim.tubes.items()}
-    ends = replace(claim, tubes=empty).ends_below(controller)
-    assert ends["output", 0] == pytest.approx(2 * claim.acts.sizes["ripple", 0])
-    assert ends["input", 0] == pytest.approx(claim.acts.off[0])
-    assert ends["estimate", 0] == 0
+    assert not claim.tubes
+    assert claim.ends_below(controller)["output", 0] == pytest.approx(simulate(spec, controller).final_error, rel=0.02)
+    assert claim.ends_below(controller)["estimate", 0] == 0
+
+
+@pytest.mark.parametrize("delay", [1, 2])
+def test_bounds_where_inputs_are_late_hold_for_switchings_and_in_the_run(delay: int, tmp_path: Path) -> None:
+    text = FRICTION.replace(
+        "sample_time: 0.1}", f"sample_time: 0.05, delay: {delay}}}\n  quantum: {{y: 1e-4, u: 0.01}}"
+    )
+    (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
+    spec = load_spec(tmp_path / "plant.yaml")
+    controller = design(spec)
+    claim = the_bounds(controller)
+    assert {kind for kind, _ in claim.tubes} == {"noise", "input", "nominal", "moved"}
+    for channel, each in claim.tubes.items():
+        for form in (("output", 0), ("input", 0)):
+            c = row(claim.errors, form).floats
+            for one in each:
+                size = one.sizes[claim.forms.index(form)]
+                assert max(worst_found(claim, channel, c, seed, summed=one.summed) for seed in range(3)) <= size
+    assert not audit(json.dumps(design_certificate(spec, controller)))[1]
+    final, bound = simulate(spec, controller).final_error, claim.ends_below(controller)["output", 0]
+    assert 0.02 * bound < final <= bound
+
+
+def test_nothing_moves_where_no_plane_is_near(sampled: tuple[Spec, ProvedController]) -> None:
+    claim = the_bounds(sampled[1])
+    far, at = (replace(claim.acts, near=np.full_like(claim.acts.near, each)) for each in (1e9, 0.0))
+    still = {channel: each for channel, each in claim.acts.squares.items() if channel[0] != "moved"}
+    tubes = {channel: each for channel, each in claim.tubes.items() if channel[0] != "moved"}
+    without = replace(claim, acts=replace(claim.acts, squares=still), tubes=tubes)
+    for form in claim.forms:
+        assert replace(claim, acts=far).from_zero[form] == pytest.approx(without.anywhere[form])
+        assert replace(claim, acts=at).from_zero[form] == pytest.approx(claim.anywhere[form])
+        assert (claim.from_zero[form] <= claim.anywhere[form]).all()
+
+
+@pytest.mark.parametrize("which", ["sampled", "friction"])
+def test_a_run_from_the_reference_on_is_below_in_every_substep(which: str, request: pytest.FixtureRequest) -> None:
+    spec, controller = request.getfixturevalue(which)
+    claim = the_bounds(controller)
+    x_d = fine_walk(spec, controller, {"sampled": [0.2, 0.0], "friction": []}[which], 1)[0][0, 0]
+    initial = replace(spec.scenario.initial, plant=x_d, observer=x_d)
+    response = simulate(replace(spec, scenario=replace(spec.scenario, initial=initial)), controller).response
+    at = np.floor(response.t * claim.errors.parts / claim.errors.gains.sample_time).astype(int)
+    seen = {"output": response.tracking_error, "input": response.u - response.u_ff}
+    for form, most in claim.from_zero.items():
+        if form[0] in seen:
+            allowed = np.max([most[np.clip(at + k, 0, len(most) - 1)] for k in (-1, 0, 1)], axis=0)
+            found = np.abs(seen[form[0]][:, form[1]])
+            assert (found <= allowed * (1 + 1e-9)).all()
+            assert found[len(found) // 2 :].max() > 0.02 * allowed.max()
 
 
 @pytest.fixture(scope="module")
@@ -248,6 +433,10 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "one of another kind": lambda t: t[0].update(channel=["start", 0]),
     "one twice": lambda t: t.append(t[0]),
     "another a": lambda t: t[0].update(a="3"),
+    "summed where it is not": lambda t: t[0].update(summed=1),
+    "what is summed as if it were not": lambda t: t.append(next(one for one in t if one["summed"]) | {"summed": 0}),
+    "summed at ticks": lambda t: next(one for one in t if one["channel"][0] == "noise").update(summed=1),
+    "summed by halves": lambda t: t[0].update(summed=2),
     "no a": lambda t: t[0].update(a="0"),
     "a negative bound": lambda t: t[0]["signals"][0].__setitem__(2, "-9"),
     "a signal that there is not": lambda t: t[0]["signals"][0].__setitem__(1, 9),
@@ -257,8 +446,8 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "a smaller Q": lambda t: t[0]["Q"].__setitem__(0, t[1]["Q"][0]),
     "b of 1": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="1"),
     "another b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0.5"),
-    "a mean for a ripple": lambda t: exchange(t, "input", "ripple"),
-    "what moves for a ripple": lambda t: exchange(t, "moved", "ripple"),
+    "steps for the nominal loop": lambda t: exchange(t, "input", "nominal"),
+    "what moves for the nominal loop": lambda t: exchange(t, "moved", "nominal"),
     "no b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0"),
 }
 
@@ -276,7 +465,11 @@ def test_a_run_above_its_bound_is_a_numerical_error(sampled: tuple[Spec, ProvedC
     assert result.outcome.kind != "above its bound"
     claim = the_bounds(controller)
     assert result.final_error < claim.ends_below(controller)["output", 0]
-    small = {channel: replace(one, sizes=tuple(v * 1e-3 for v in one.sizes)) for channel, one in claim.tubes.items()}
-    claims = tuple(replace(one, tubes=small) if one is claim else one for one in controller.claims)
+    small = {
+        channel: tuple(replace(one, sizes=tuple(v * 1e-3 for v in one.sizes)) for one in each)
+        for channel, each in claim.tubes.items()
+    }
+    acts = replace(claim.acts, beside={})
+    claims = tuple(replace(one, tubes=small, acts=acts) if one is claim else one for one in controller.claims)
     broken = simulate(spec, replace(controller, claims=claims))
     assert broken.outcome.kind == "above its bound"

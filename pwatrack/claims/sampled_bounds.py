@@ -1,27 +1,32 @@
 """How large what is left of the errors of a sampled loop is: of each signal, in this run, between ticks too.
 
 Along one solution the errors are linear in their start and in all that acts together. What the start leaves goes to 0;
-what 1 of each channel of `control.sampled_disturbances` leaves is bounded by a tube of its own, and how large each gets
-in the run is enclosed. The sum of the products is a bound of each signal in the end, and with the start at all times.
+what 1 of each channel of `control.sampled_disturbances` leaves is bounded by a tube of its own, and the mean square of
+each, with the weights that the tube has for what is past, is enclosed all along the run. The sum of the products, and
+what the nominal loop has, is a bound of each signal in every substep: from error 0 on, and with the start always.
+
+Where a prediction begins and ends in one cell, moving drives nothing. A bound of how far x and x̂ are from x_d + e₀ says
+in which substeps that is so; then less is driven, which makes that bound less, and so on.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, Context
+from functools import cached_property, reduce
 from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, up
-from pwatrack.ball_matrix import above, absolute
+from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
+from pwatrack.ball_matrix import above
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
-from pwatrack.control.sampled_disturbances import Acting, driven, row
+from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.words import Words, by_second
+from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube, tube
 from pwatrack.lmi.exact import Packed, rounded_down
@@ -30,6 +35,8 @@ from pwatrack.rational import floats
 
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _ROUNDED = 1e-9  # of a time in ticks
+_END = 10  # the end of a run is a tenth of it
+_LOOKS = 30  # at where predictions may cross planes, at most
 _SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
 _MORE = (1.6, 2.0)  # times that, as long as bounds get less
 
@@ -40,24 +47,28 @@ class SampledBounds(Claim):
 
     Attributes:
         errors: Of the loop with its program.
-        acts: How large each channel gets in the run, but for those that are 0, and ω.
-        tubes: What 1 of each of these leaves: those that are proved.
-        signals: What the sizes of a tube are of.
+        acts: On them in the run.
+        tubes: Of each channel, those that are proved: the one that says less counts.
+        forms: What the sizes of a tube are of.
     """
 
     errors: SampledErrors = field(repr=False)
-    acts: Acting
-    tubes: Mapping[Channel, Tube]
+    acts: Acting = field(repr=False)
+    tubes: Mapping[Channel, tuple[Tube, ...]]
+    forms: tuple[Form, ...]
 
     statement: ClassVar[str] = (
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
-        "signal: of a disturbance of a state equation, of what is measured off at ticks, of the mean from tick to tick "
-        "of u off what it is meant to be, beside nu, of the ripple W, which is the integral of the rest of that since "
-        "a tick, B W beside e, and of R (x_d + B W) off what it was at p, beside rho; this is z less B W of e and "
-        "R (B W - B W at p) of rho. With Q linear in time between the knots of each substep and g and h how it acts "
-        "between ticks and at them, c Q c^T <= size^2 at all knots, "
+        "signal: of a disturbance of a state equation, of what is measured off at ticks, of the steps of u, beside nu, "
+        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
+        "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it "
+        "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks and "
+        "at them, c Q c^T <= size^2 at all knots, "
         "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0 at both ends e of each segment, "
-        "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps."
+        "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "
+        "is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of "
+        "g g^T / a there, g g^T < Q_e at all knots: so the root of z^T Q^-1 z is at most the integral of |d|, with "
+        "weights that fall as e^(-a t / 2)."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
 
@@ -65,99 +76,133 @@ class SampledBounds(Claim):
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledBounds"]:
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
         for proof, errors, acts in _known(controller, asked):
-            yield cls(errors=errors, acts=acts, tubes=dict(_tubes(controller, errors, proof, list(acts.sizes))))
+            found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
+            yield replace(found, tubes=_Search.of(controller, found, proof).tubes(acts))
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledBounds"]:
         """Yield what was proved."""
         told = content["sampled_bounds"]
-        tubes = {read_channel(entry["channel"]): _read_tube(entry) for entry in told}
+        tubes = dict[Channel, tuple[Tube, ...]]()
+        for entry in told:
+            channel = read_channel(entry["channel"])
+            tubes[channel] = (*tubes.get(channel, ()), _read_tube(entry))
         for _, errors, acts in _known(controller, asked):
-            if not tubes.keys() <= acts.sizes.keys():
+            if not tubes.keys() <= acts.squares.keys():
                 raise ValueError("a tube is of something that does not act")
-            yield cls(errors=errors, acts=acts, tubes=tubes)
+            yield cls(errors=errors, acts=acts, tubes=tubes, forms=tuple(seen(controller)))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return the tubes."""
-        forms = list(seen(controller))
         entries = [
             {
                 "channel": list(channel),
                 "a": decimal(one.a),
                 "b": decimal(one.b),
+                "summed": int(one.summed),
                 "Q": [packed(Q.integers, Q.exponents) for Q in one.Q],
-                "signals": signals(zip(forms, one.sizes, strict=True)),
+                "signals": signals(zip(self.forms, one.sizes, strict=True)),
             }
-            for channel, one in self.tubes.items()
+            for channel, each in self.tubes.items()
+            for one in each
         ]
         return {"sampled_bounds": entries}
 
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
-        """Return below what each signal ends in the run; nothing where something acts that has no tube."""
-        if self.tubes.keys() != self.acts.sizes.keys():
-            return {}
-        total = dict.fromkeys(seen(controller), 0.0)
-        for channel, size in self.acts.sizes.items():
-            for form, each in zip(total, self.tubes[channel].sizes, strict=True):
-                total[form] += each * size
-        for form in total:
-            total[form] = (total[form] + self._beside(form)) * OVER_SUMS
-        return total
+        """Return below what each signal is in the end of the run, if what its start left is gone."""
+        return {form: _above(float(most[-(len(most) // _END) - 1 :].max())) for form, most in self.from_zero.items()}
 
-    def _beside(self, form: Form) -> float:
-        """Return what a signal has beside c z: an input ω, others c B W."""
-        kind, k = form
-        if kind == "input":
-            return float(self.acts.off[k])
-        total = 0.0
-        for channel, size in self.acts.sizes.items():
-            if channel[0] == "ripple":
-                X = row(self.errors, form) @ driven(self.errors, channel).held
-                most = absolute(X.centre) if X.radius is None else absolute(X.centre) + X.radius
-                total += size * float(floats(most).item())
-        return total
+    @cached_property
+    def from_zero(self) -> dict[Form, Array]:
+        """What each signal is at most in each substep, (K,), from error 0 on; nothing where something has no tube."""
+        where = np.ones(len(self.acts.near), dtype=bool)
+        for _ in range(_LOOKS):
+            levels = self._levels(where)
+            near = (self.acts.near <= self._off(levels)).any(axis=1)
+            if (near >= where).all():
+                break
+            where = near & where
+        return self._total(levels)
+
+    @cached_property
+    def anywhere(self) -> dict[Form, Array]:
+        """The same where a prediction may cross planes at any time: to be added to what the start leaves."""
+        return self._total(self._levels(np.ones(len(self.acts.near), dtype=bool)))
+
+    def _levels(self, where: Array) -> dict[Channel, list[Array]]:
+        """Return V^½ of each tube in each substep, where predictions cross planes in some substeps at most."""
+        found, gains = dict[Channel, list[Array]](), self.errors.gains
+        for channel, each in self.tubes.items():
+            acting = where if channel[0] == "moved" else 1.0
+            found[channel] = [level(self.acts, channel, one, gains, acting) for one in each]
+        return found
+
+    def _off(self, levels: Mapping[Channel, Sequence[Array]]) -> Array:
+        """Return how far predictions may be from x_d + e₀ across each plane, (K, P)."""
+        rows = across(self.errors, self.acts.planes)
+        flat = np.concatenate(rows)
+        each = self._sum(levels, len(flat), lambda one: one.spread(flat))
+        return np.asarray(each.reshape(len(each), *rows.shape[:2]).max(axis=1))
+
+    def _total(self, levels: Mapping[Channel, Sequence[Array]]) -> dict[Form, Array]:
+        if levels.keys() != self.acts.squares.keys():
+            return {}
+        most = self._sum(levels, len(self.forms), lambda one: np.array(one.sizes))
+        return {form: each + self.acts.beside.get(form, 0.0) for form, each in zip(self.forms, most.T, strict=True)}
+
+    def _sum(self, levels: Mapping[Channel, Sequence[Array]], count: int, sizes: Callable[[Tube], Array]) -> Array:
+        """Return what all channels leave of so many signals in each substep, (K, s); ∞ where one has no tube."""
+        known = levels.keys() == self.acts.squares.keys()
+        total = np.full((len(self.acts.near), count), 0.0 if known else np.inf)
+        for channel, each in levels.items():
+            left = (V[:, None] * sizes(one) for V, one in zip(each, self.tubes[channel], strict=True))
+            total = total + reduce(np.minimum, left)
+        return np.asarray(total * OVER_SUMS)
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what acts, and what it leaves."""
         acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in self._named(words))
-        shown = ((form, size) for form, size in self.ends_below(controller).items() if form[0] != "estimate")
-        ends = ", ".join(words.limits(shown))
-        if not acts:
+        ends = ", ".join(words.limits(_shown(self.ends_below(controller))))
+        if not acts and not any(each.any() for each in self.acts.beside.values()):
             yield "in this run", "nothing acts on the sampled loop: its errors go to 0, but for rounding"
         elif ends:
+            always = words.limits(_shown({form: float(each.max()) for form, each in self.from_zero.items()}))
             yield "in this run", f"{ends} in the end in the sampled loop, for any switching, between ticks too"
-            yield "", f"that is what these leave, as large as they get in this run: {acts}"
+            if not self.errors.gains.delay:
+                yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
+            yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
             yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         """Return how large each signal of the sampled loop may be: what all leaves, and what the start does."""
-        ends, n = self.ends_below(controller), len(controller.plant.B)
-        if not (seen.sampled and ends):
-            return {}
-        e, delta, h = seen.start[:n], seen.start[n:], self.errors.gains.sample_time  # after the tick at t = 0
+        n, gains = len(controller.plant.B), self.errors.gains
+        if gains.delay or gains.jitter or not (seen.sampled and self.anywhere):
+            return {}  # what waits at the start is not seen, nor what time the program counts
+        e, delta, h = seen.start[:n], seen.start[n:], gains.sample_time  # after the tick at t = 0
         rho = np.zeros(self.errors.R.shape[0])
-        first = np.concatenate([e, self.errors.gains.K @ (e + delta[:n]), delta, rho])
-        most = dict.fromkeys(ends, np.full(len(seen.t), np.inf))
-        for one in self.tubes.values():
+        first = np.concatenate([e, gains.K @ (e + delta[:n]), delta, rho])
+        most = dict.fromkeys(self.anywhere, np.full(len(seen.t), np.inf))
+        for one in (one for each in self.tubes.values() for one in each):
             size, ticks = in_ellipsoid(one.Q[0], first) * OVER_POWERS, np.floor(seen.t / h * (1 - _ROUNDED))
             fallen = np.exp(-one.a / 2 * seen.t + np.log1p(-one.b) / 2 * ticks)
             for form, each in zip(most, one.sizes, strict=True):
                 most[form] = np.minimum(most[form], each * size * fallen)
-        return {form: size + most[form] for form, size in ends.items()}
+        at = np.floor(seen.t / h * gains.substeps).astype(np.int64)
+        return {form: _around(each, at) + most[form] for form, each in self.anywhere.items()}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return what acts, what 1 of it leaves of each signal, and what all of it does."""
-        ends, forms = self.ends_below(controller), list(seen(controller))
-        acts = dict(zip(self.acts.sizes, self._named(words), strict=True))
+        ends = self.ends_below(controller)
+        acts = dict(zip(self.acts.squares, self._named(words), strict=True))
         return {
             "sampled_bounds": {
                 "acts": {name: {"at_most": size, "unit": unit} for (name, unit), size in acts.values()},
                 "per_1": {
                     acts[channel][0][0]: {
-                        words.signal(form)[0]: size for form, size in zip(forms, one.sizes, strict=True)
+                        words.signal(form)[0]: size for form, size in zip(self.forms, one.sizes, strict=True)
                     }
-                    for channel, one in self.tubes.items()
+                    for channel, (one, *_) in self.tubes.items()
                 },
                 "ends_below": {
                     name: {"bound": size, "unit": unit}
@@ -169,19 +214,29 @@ class SampledBounds(Claim):
     def _named(self, words: Words) -> Iterator[tuple[tuple[str, str], float]]:
         """Yield what acts in words, with its unit, and its size."""
         plant, units = words.plant, words.units
-        for (kind, k), size in self.acts.sizes.items():
-            if kind in ("input", "ripple"):
-                name, unit = plant.inputs[k], units.get(plant.inputs[k], "")
-                mean = f"{name} off {name}_ff in the mean of a sample"
-                rest = f"the integral of {name} off {name}_ff since a tick, less that mean"
-                yield ((mean, unit) if kind == "input" else (rest, by_second(unit))), size
-            elif kind == "moved":
+        for (kind, k), squares in self.acts.squares.items():
+            size = _above(float(np.sqrt(squares.max())))
+            if kind == "input":
+                yield (f"steps of {plant.inputs[k]}", units.get(plant.inputs[k], "")), size
+            elif kind in ("moved", "nominal"):
                 rows = zip(self.errors.R.texts[k], plant.states, strict=True)
                 entries = [(v, name) for v, name in rows if v != "0"]
-                terms = [f"{name}_d" if v == "1" else f"({v}) {name}_d" for v, name in entries]
-                yield (f"{' + '.join(terms)} moving in a substep", units.get(entries[0][1], "")), size
+                terms = " + ".join(name if v == "1" else f"({v}) {name}" for v, name in entries)
+                said = "moving in a substep" if kind == "moved" else "off its reference in the mean cell"
+                yield (f"{terms} {said}", units.get(entries[0][1], "")), size
             else:
                 yield words.cause((kind, k))[1:], size
+
+
+def _around(most: Array, at: IntArray) -> Array:
+    """Return the largest of some substeps and of those beside them: of a sample on a tick rounding says which it is."""
+    last = len(most) - 1
+    return np.asarray(np.max([most[np.clip(at + k, 0, last)] for k in (-1, 0, 1)], axis=0))
+
+
+def _shown(sizes: Mapping[Form, float]) -> Iterator[tuple[Form, float]]:
+    """Yield what is told of signals: of inputs and of what is tracked."""
+    return ((form, size) for form, size in sizes.items() if form[0] != "estimate")
 
 
 def seen(controller: ProvedController) -> Iterator[Form]:
@@ -196,45 +251,66 @@ def seen(controller: ProvedController) -> Iterator[Form]:
 def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
-        if loop.proof is not None and asked.acting is not None and not (loop.gains.delay or loop.gains.jitter):
+        if loop.proof is not None and asked.acting is not None:
             errors = SampledErrors.of(controller.plant, loop.gains)
             acts = asked.acting(controller, errors)
             if acts is not None:
-                sizes = {channel: _above(size) for channel, size in acts.sizes.items()}
-                yield (
-                    loop.proof,
-                    errors,
-                    Acting(sizes=sizes, off=np.array([_above(size) for size in acts.off.tolist()])),
-                )
+                yield loop.proof, errors, acts
 
 
-def _tubes(
-    controller: ProvedController, errors: SampledErrors, proof: ClockedProof, channels: Sequence[Channel]
-) -> Iterator[tuple[Channel, Tube]]:
-    """Yield a tube for each channel that one is proved for; with what the first of them decays with best."""
-    system, forms = errors.clocked, list(seen(controller))
-    program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
-    rows, weights, share = above(*(row(errors, form) for form in forms)), _weights(controller, forms), 0.0
+@dataclass(kw_only=True)
+class _Search:
+    """Looks for tubes: of the first with what it decays with best, of the others of its kind with the same."""
 
-    def at(channel: Channel, share: float) -> tuple[float, float, Tube] | None:
-        found = tube(program, driven(errors, channel), rows, weights, rounded_down(share * program.most, 3))
-        return None if found is None else (float(weights @ np.square(found.sizes)), share, found)
+    errors: SampledErrors
+    program: TubeProgram
+    forms: Sequence[Form]
+    weights: Array
+    shares: dict[bool, float] = field(default_factory=dict)
 
-    for channel in channels:
-        best = next(filter(None, (at(channel, one) for one in ([share, *_SHARES] if share else _SHARES))), None)
+    @classmethod
+    def of(cls, controller: ProvedController, claim: SampledBounds, proof: ClockedProof) -> "_Search":
+        system = claim.errors.clocked
+        program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
+        weights = _weights(controller, claim.forms)
+        return cls(errors=claim.errors, program=program, forms=claim.forms, weights=weights)
+
+    def tubes(self, acts: Acting) -> dict[Channel, tuple[Tube, ...]]:
+        """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
+        found = dict[Channel, tuple[Tube, ...]]()
+        for channel in acts.squares:
+            each = (self._best(channel, summed) for summed in (False, True)[: 1 + (channel in acts.means)])
+            if tubes := tuple(one for one in each if one is not None):
+                found[channel] = tubes
+        return found
+
+    def _best(self, channel: Channel, summed: bool) -> Tube | None:
+        known = self.shares.get(summed)
+        best = next(filter(None, (self._at(channel, one, summed) for one in (known, *_SHARES) if one)), None)
         if best is None:
-            continue
-        first = best[1]
-        for factor in () if share else _MORE:
-            more = at(channel, factor * first)
+            return None
+        share = best[1]
+        for factor in () if known else _MORE:
+            more = self._at(channel, factor * share, summed)
             if more is None or more[0] > best[0]:
                 break
             best = more
-        _, share, found = best
-        yield channel, found
+        self.shares[summed] = best[1]
+        return best[2]
+
+    def _at(self, channel: Channel, share: float, summed: bool) -> tuple[float, float, Tube] | None:
+        rows, decay = (
+            above(*(row(self.errors, form) for form in self.forms)),
+            rounded_down(share * self.program.most, 3),
+        )
+        found = tube(self.program, driven(self.errors, channel), rows, self.weights, decay, summed=summed)
+        if found is None:
+            return None
+        ends = np.array(found.sizes) / (found.a if summed else 1.0)  # of 1 for good
+        return float(self.weights @ np.square(ends)), share, found
 
 
-def _weights(controller: ProvedController, forms: list[Form]) -> Array:
+def _weights(controller: ProvedController, forms: Sequence[Form]) -> Array:
     """Return what the square of each signal counts: of what is tracked, in sizes, most."""
     sizes = controller.sizes
     of = {"output": sizes.tracked, "state": sizes.state, "input": sizes.input, "estimate": sizes.state}
@@ -253,4 +329,5 @@ def _read_tube(entry: Any) -> Tube:
         a=double(entry["a"]),
         b=double(entry["b"]),
         sizes=tuple(size for _, size in read_signals(entry["signals"])),
+        summed=entry["summed"] == 1,
     )

@@ -1,74 +1,133 @@
 """How what acts on a sampled loop enters its errors z = (e, ν, Δ, σ, ρ), and how signals are read off these.
 
-Let ω be u as it is put out less K (x̂ − x_d) at the tick less u_ff(t), and W(t) the integral since the tick of ω less
-its mean until the next one: W = 0 at ticks. With W(t_p) where a substep began, z less (B W, 0, 0, 0, R B (W − W(t_p)))
-obeys the same, but that B W acts beside e in place of what W' did, and R B (W − W(t_p)) beside ρ. So, with
-`sampled_error`, each as large as it likes:
+Let ω be u as it is put out less ν less u_ff(t). The nominal loop, of the mean A₀ of the cells
+and without noise, has e₀' = A₀ e₀ + B (K e₀(t_k) + ω), e₀(0) = 0, all of which is known from the reference. With t_p
+where a substep began, z less (e₀, K e₀(t_k), 0, 0, R (e₀ − e₀(t_p))) obeys the same as z, with (A_i − A₀) e₀ in place
+of B ω, and with R (e₀ − e₀(t_p)) beside what R x_d moves. Rows of A_i − A₀ are in the span of R, which has a column in
+which one row alone is 1: with the unit vectors ε_k of these columns (A_i − A₀) e₀ = Σ_k (A_i − A₀) ε_k R_k e₀. So what
+is left is driven, with `sampled_error`, by scalars, each as large as it likes:
 
-    ("disturbance", k)   d in the k-th state equation: e' + d ε_k and Δ' − d ε_k, so that ρ' is what it was
-    ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d
-    ("input", k)         the mean of ω_k from tick to tick: it acts beside ν_k
-    ("ripple", k)        W_k: B ε_k W_k acts beside e, and is a part of it
-    ("moved", k)         R_k (x_d(t) + B W(t) − x_d(t_p) − B W(t_p)) in a substep: it acts beside ρ_k
+    ("disturbance", k)   d in the k-th state equation: e' + d ε_k and all Δ' − d ε_k, so that ρ' is what it was
+    ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d; where
+                         inputs are late only (Δ_0, σ_0)⁺
+    ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
+    ("nominal", k)       R_k e₀: it acts by F_i − F₀
+    ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
+
+Where λ times as much time passes as the program counts, in which e' is λ times as large and Δ' has (1 − λ) of it more,
+(λ − 1) ((x_d + e₀)' − Σ_k A₀ ε_k R_k e₀) is one more disturbance, and others are λ times as large.
+
+V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at ticks: so it is at most the mean
+square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
+
+What moved drives by A_a − A_b, of the cells of the prediction as its substep began and now: by nothing in a substep in
+which both are on one side of every plane.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pwatrack.arrays import Array
+import numpy as np
+from scipy.signal import lfilter
+
+from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, above, zero
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.lmi.clocked_tubes import Drive
-from pwatrack.rational import identity
+from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.lmi.clocked_tubes import Drive, Tube
+from pwatrack.rational import identity, pivots
 
 
 @dataclass(frozen=True, kw_only=True)
 class Acting:
-    """What acts in a run.
+    """What acts in a run, in each of its K substeps.
 
     Attributes:
-        sizes: How large each channel gets, but for those that are 0.
-        off: How large each ω_k gets, (m,).
+        squares: The mean of d² of each channel, but for those that are 0, (K,); of noise d² at the tick before.
+        means: The mean of |d| of those that may be summed, likewise.
+        beside: How large at most that is which signals have beside c z, (K,): that of the nominal loop.
+        planes: Normals of the planes between cells, (P, n).
+        near: How near x_d + e₀ comes to each of them, in H x, (K, P).
     """
 
-    sizes: Mapping[Channel, float]
-    off: Array
+    squares: Mapping[Channel, Array]
+    means: Mapping[Channel, Array]
+    beside: Mapping[Form, Array]
+    planes: Array
+    near: Array
+
+
+def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where: Array | float = 1.0) -> Array:
+    """Return what V^½ is at most in each substep, from V = 0 on, (K,).
+
+    Args:
+        acts: What acts.
+        channel: Which of it the tube is of.
+        tube: Its tube.
+        gains: Of the program.
+        where: 0 for substeps in which it is known not to act, (K,).
+    """
+    step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
+    if channel[0] == "noise":
+        ticks = lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
+        return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
+    if tube.summed:
+        return faded(acts.means[channel] * where * step, tube.a / 2 * step)
+    return np.asarray(np.sqrt(faded(tube.a * d * step, tube.a * step)))
+
+
+def faded(added: Array, fall: float) -> Array:
+    """Return what is there in each substep at most, where some is added in each and what is there falls by e^−fall.
+
+    Example:
+        >>> faded(np.array([1.0, 0.0, 1.0]), np.log(2)).round(2).tolist()
+        [1.0, 1.0, 1.5]
+    """
+    after = lfilter([1.0], [1.0, -np.exp(-fall)], added)
+    return np.asarray((np.append(0.0, after[:-1]) + added) * OVER_POWERS)
 
 
 def driven(errors: SampledErrors, channel: Channel) -> Drive:
     """Return how 1 of what acts enters z; what is measured counts with the other sign."""
-    kind, k = channel
-    n, m, N, q = _sizes(errors)
-    nothing = zero(n + m + N + q, 1)
+    (kind, k), (n, m, N, *_), d, order = channel, errors.widths, errors.predicted, errors.order
+    nothing, first = zero(order, 1), n + m + d * N
     if kind == "noise":
         M = BallMatrix.of(errors.gains.M[:, [k]])
-        kick = BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
-        return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(q, 1)))
+        kick = zero(m, 1) if errors.gains.delay else BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
+        return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(order - n - m - N, 1)))
     if kind == "disturbance":
         one = _unit(n, k)
-        return Drive(held=nothing, between=above(one, zero(m, 1), zero(n, 1) - one, zero(N - n + q, 1)))
-    if kind == "ripple":
-        return Drive(held=above(errors.plant.exact.B.part(range(n), [k]), zero(m + N + q, 1)), between=nothing)
-    place = n + k if kind == "input" else n + m + N + k
-    return Drive(held=_unit(n + m + N + q, place), between=nothing)
+        off = above(zero(n, 1) - one, zero(N - n, 1))
+        return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
+    if kind == "nominal":
+        at = pivots(errors.R.centre)[k]
+        column = errors.mean.part(range(n), [at])
+        nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column])
+        return Drive(held=_unit(order, at), between=nothing - nominal)
+    if kind == "input":
+        return Drive(held=_unit(order, n + k), between=nothing)
+    return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)]), between=nothing)
 
 
 def row(errors: SampledErrors, form: Form) -> BallMatrix:
-    """Return c, (1, order): of an input it reads ν, to which ω adds; of e, to which B W does."""
+    """Return c, (1, order): of an input it reads ν, to which ω adds; of what is predicted the newest."""
     kind, k = form
-    n, m, N, q = _sizes(errors)
+    n, m, *_ = errors.widths
     if kind == "output":
         c = errors.plant.exact.tracked.part([k], range(n)).transpose()
-        return above(c, zero(m + N + q, 1)).transpose()
+        return above(c, zero(errors.order - n, 1)).transpose()
     place = {"state": 0, "input": n, "estimate": n + m}[kind] + k
-    return _unit(n + m + N + q, place).transpose()
+    return _unit(errors.order, place).transpose()
 
 
-def _sizes(errors: SampledErrors) -> tuple[int, int, int, int]:
-    """Return how many entries e, ν, (Δ, σ) and ρ have."""
-    (n, m), N = errors.plant.B.shape, errors.plant.observed.C.shape[1]
-    return n, m, N, errors.R.shape[0]
+def across(errors: SampledErrors, H: Array) -> Array:
+    """Return of each prediction the rows that read H (x̃ − x_d) off z, (d, P, order), for rows H on x."""
+    n, m, N, *_ = errors.widths
+    rows = np.zeros((errors.predicted, len(H), errors.order))
+    for i, each in enumerate(rows):
+        each[:, :n], each[:, n + m + i * N :][:, :n] = H, H
+    return rows
 
 
 def _unit(size: int, k: int) -> BallMatrix:

@@ -33,7 +33,7 @@ steps of the generator beside (15) act from outside. Of other loads ŝ would mov
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import permutations, product
 
 import numpy as np
@@ -93,6 +93,12 @@ class SampledErrors:
     def parts(self) -> int:
         """Substeps that make a difference."""
         return self.gains.substeps if self.changes else 1
+
+    @cached_property
+    def mean(self) -> BallMatrix:
+        """A₀, the mean of all different A_i."""
+        cells = different(self.plant.exact.A)
+        return reduce(BallMatrix.__add__, cells).times(Fraction(1, len(cells)))
 
     @property
     def paces(self) -> list[Fraction]:

@@ -122,18 +122,6 @@ def per_second(unit: str) -> str:
     return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
-def by_second(unit: str) -> str:
-    """Return the unit of an integral over time.
-
-    Example:
-        >>> [by_second(unit) for unit in ("N", "m/s", "m3/h", "")]
-        ['N s', 'm', '(m3/h) s', '']
-    """
-    if unit.endswith("/s"):
-        return unit.removesuffix("/s")
-    return unit and (f"({unit}) s" if "/" in unit else f"{unit} s")
-
-
 def matrix_text(X: Array) -> str:
     """Return a matrix in a line."""
     return "[" + "; ".join(" ".join(number_text(v) for v in row) for row in X) + "]"

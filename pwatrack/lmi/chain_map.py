@@ -43,17 +43,24 @@ class Bound:
 
 
 class ChainMap(LinearMap):
-    """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, then t; tr P_0 = n."""
+    """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, then t.
 
-    def __init__(self, bounds: Sequence[Bound], count: int) -> None:
+    Asked for is the largest t where tr P_0 = n; or, with a weight, the least tr W Σ P_k where t = 1.
+    """
+
+    def __init__(self, bounds: Sequence[Bound], count: int, weight: Array | None = None) -> None:
         n = len(bounds[0].T)
         self.P, self.count, self.T = Triangle(n), count, np.array([bound.T for bound in bounds])
         self.size = self.main = count * self.P.size + 1
-        self.cost = np.append(np.zeros(self.size - 1), -1.0)
         self.blocks = Blocks([(len(bounds), n)])
         self.constant = np.zeros(self.blocks.size)
-        self.rows, self.values = np.zeros((1, self.size)), np.array([float(n)])
-        self.rows[0, : self.P.size] = self.P.row(np.eye(n))
+        self.rows = np.zeros((1, self.size))
+        if weight is None:
+            self.cost, self.values = np.append(np.zeros(self.size - 1), -1.0), np.array([float(n)])
+            self.rows[0, : self.P.size] = self.P.row(np.eye(n))
+        else:
+            self.cost, self.values = np.append(np.tile(self.P.row(weight), count), 0.0), np.ones(1)
+            self.rows[0, -1] = 1.0
         self.places = [slice(k * self.P.size, (k + 1) * self.P.size) for k in range(count)]
         having = [[j for j, bound in enumerate(bounds) if k in bound.terms] for k in range(count)]
         self.of = [

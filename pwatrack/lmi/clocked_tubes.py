@@ -9,6 +9,12 @@ them. With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part
 V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 − b) V + b d² at them; what acts only at one of both has
 a = 0 or b = 0 at the other, without the last term. So from z = 0 always V ≤ 1, from everywhere V ends below 1, and
 |c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in `docs/theory/beyond.md`).
+
+A tube of what is summed, for a d that is seldom anything but 0, has in place of the last term between ticks
+
+    g_i g_iᵀ ≺ Q_e    for all knots e, all i
+
+and V^½' ≤ −(a / 2) V^½ + |d|: V^½ ends below the integral of |d| with weights that fall as e^(−a t / 2).
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,13 +24,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.arrays import OVER_POWERS, Array
+from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.lmi.clocked import Clocked, shrunk
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.tube_program import TubeProgram
-from pwatrack.rational import Rational, is_positive_definite, number, scalar
+from pwatrack.rational import Rational, floats, is_positive_definite, number, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
@@ -54,15 +60,24 @@ class Tube:
         a: In 1/s, a short decimal; 0 where d acts at ticks.
         b: A short decimal; 0 where d acts between ticks.
         sizes: One for each c, rounded up.
+        summed: Whether it is one of what is summed.
     """
 
     Q: tuple[Packed, ...]
     a: float
     b: float
     sizes: tuple[float, ...]
+    summed: bool = False
+
+    def spread(self, rows: Array) -> Array:
+        """Return max_k (c Q_k cᵀ)^½ for other rows c, (s, n), in floating point, a little more."""
+        Q = np.array([floats(Q_k.P) for Q_k in self.Q])
+        return np.asarray(np.sqrt(np.einsum("si,kij,sj->ks", rows, Q, rows).max(axis=0)) * OVER_POWERS)
 
 
-def tube(program: TubeProgram, driven: Drive, rows: BallMatrix, weights: Array, decay: float) -> Tube | None:
+def tube(
+    program: TubeProgram, driven: Drive, rows: BallMatrix, weights: Array, decay: float, *, summed: bool = False
+) -> Tube | None:
     """Return a tube in which Σ weight c Q cᵀ is small, or None where none is proved.
 
     Args:
@@ -71,6 +86,7 @@ def tube(program: TubeProgram, driven: Drive, rows: BallMatrix, weights: Array, 
         rows: c, (s, n).
         weights: Of each, (s,).
         decay: a in 1/s, or what b makes up for in a period: less than twice the rate with which z falls.
+        summed: Whether d is summed; it acts between ticks then.
 
     Example: z' = −2 z + 3 d, and ticks that change nothing: |z| ≤ 3/2.
 
@@ -88,17 +104,17 @@ def tube(program: TubeProgram, driven: Drive, rows: BallMatrix, weights: Array, 
     g = np.array([(F @ driven.held + driven.between).floats[:, 0] for F in system.F])
     kick = np.zeros(g.shape[1]) if ticks is None else ticks.floats[:, 0]
     for slack in _SLACKS:
-        found = program.smallest(g, kick, rows.floats, weights, a=a, b=b, slack=slack)
+        found = program.smallest(g, kick, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
         if found is None:
             return None
         for bits in _BITS:
             Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found)
-            if contains(system, driven, Q, a, b):
-                return Tube(Q=Q, a=a, b=b, sizes=tuple(sizes_in(Q, rows)))
+            if contains(system, driven, Q, a, b, summed=summed):
+                return Tube(Q=Q, a=a, b=b, sizes=tuple(sizes_in(Q, rows)), summed=summed)
     return None
 
 
-def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: float) -> bool:
+def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: float, *, summed: bool = False) -> bool:
     """Say whether Q satisfy the inequalities, decided in fractions, for everything in the balls; a, b as they print."""
     N = len(Q) // system.parts - 1
     if N < 1 or len(Q) != system.parts * (N + 1) or not all(is_positive_definite(Q_k.P) for Q_k in Q):
@@ -107,12 +123,19 @@ def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: f
     if not all(is_positive_definite(left) for left in _jumps(system, driven, parts, Fraction(repr(b)))):
         return False
     slope, columns = number(Fraction(N * system.parts) / system.period), _columns(system, driven)
+    if summed and not all(
+        is_positive_definite(Q_k.P - square_above(column, [Fraction(1)], Q_k.scale))
+        for column in different(columns)
+        for Q_k in Q
+    ):
+        return False
     for part in parts:
         for one, other in pairwise(part):
             for Q_e in (one, other):
                 rest = scalar(a) * Q_e.P - (other.P - one.P) * slope
                 for F, column in zip(system.F, columns, strict=True):
-                    pushed = rest + square_above(column, [1 / Fraction(repr(a))], Q_e.scale) if a else rest
+                    push = a and not summed
+                    pushed = rest + square_above(column, [1 / Fraction(repr(a))], Q_e.scale) if push else rest
                     if not is_positive_definite(left_side(F, Q_e) - pushed):
                         return False
     return True

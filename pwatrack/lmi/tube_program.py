@@ -7,22 +7,20 @@ decide: those that the tubes found so far do not satisfy are added, until all ar
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import clarabel
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, looked_for
-from pwatrack.lmi.cone_program import minimise, sparsely, upper
-from pwatrack.lmi.margin_program import MarginProgram
+from pwatrack.lmi.primal_dual import least
 
-_GAP = 1e-4  # share of the cost that may be missed
+_GAP = 1e-3  # share of the cost that may be missed
 _FIRST = 8  # vertices that are asked for at first, at each end of a segment
 _WORST = 8  # that are added there where some are not satisfied
 _ROUNDS = 12  # in which they are added
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 
 Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
-Block = tuple[dict[int, Array], Array]  # Σ X_k Q_k, each Q_k as `upper` has it, is to be above this matrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +39,16 @@ class TubeProgram:
     _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def smallest(
-        self, g: Array, kick: Array, rows: Array, weights: Array, *, a: float, b: float, slack: float
+        self,
+        g: Array,
+        kick: Array,
+        rows: Array,
+        weights: Array,
+        *,
+        a: float,
+        b: float,
+        slack: float,
+        summed: bool = False,
     ) -> list[Array] | None:
         """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ; None where none is found.
 
@@ -51,22 +58,27 @@ class TubeProgram:
             rows, weights: c, (s, n), and of each, (s,).
             a, b: As in `clocked_tubes`.
             slack: Share of the size of what drives by which inequalities are to hold.
+            summed: As in `clocked_tubes`.
         """
         L = np.linalg.cholesky(self.near).T
         back = np.linalg.inv(L)
         F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
-        driving, kicking = g @ L.T / np.sqrt(a or np.inf), L @ kick / np.sqrt(b or np.inf)
+        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), L @ kick / np.sqrt(b or np.inf)
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
         W = (rows @ back).T * weights @ (rows @ back)
         W = W + _FADING * np.eye(len(L))
         rest = slack * np.eye(len(L))
-        pushed = rest + driving[:, :, None] * driving[:, None, :] / size
+        squares = rest + driving[:, :, None] * driving[:, None, :] / size
+        pushed, holding = (np.tile(a * rest, (len(F), 1, 1)), squares) if summed else (squares, squares[:0])
         between = self.system.between
         R = np.eye(len(L)) if between is None else L @ between.floats @ back
         jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kicking, kicking) / size) for J_j in J]
-        found = self._solved(F + a / 2 * np.eye(len(L)), pushed, jumps, (R, rest), W)
+        holds = [
+            Bound({k: (-np.eye(len(L)) / 2, np.eye(len(L)))}, X) for X in _unlike(holding) for k in range(self.count)
+        ]
+        found = self._solved(F + a / 2 * np.eye(len(L)), pushed, jumps, (R, rest), W, holds)
         return None if found is None else [size * back @ Q @ back.T for Q in found]
 
     @property
@@ -91,50 +103,52 @@ class TubeProgram:
         return [(k, k + 1, e) for k in starts for e in (k, k + 1)]
 
     def _solved(
-        self, F: Array, pushed: Array, jumps: Sequence[tuple[Array, Array]], reset: tuple[Array, Array], W: Array
+        self,
+        F: Array,
+        pushed: Array,
+        jumps: Sequence[tuple[Array, Array]],
+        reset: tuple[Array, Array],
+        W: Array,
+        holds: Sequence[Bound],
     ) -> Array | None:
         """Return Q at the knots that satisfy all inequalities, (knots, n, n), or None."""
-        maps, size = MarginProgram(len(W), self.count), self.knots + 1
-        R, rest = reset
-        ends = [(j * size, j * size - 1, R, rest) for j in range(1, self.system.parts)]
-        fixed = [({k: maps.eye, last: -maps.congruence(X.T)}, above) for k, last, X, above in ends]
-        for J, above in jumps:
-            T = self._seen(J)
-            turn = maps.congruence(T.T)
-            fixed.append(({0: turn, self.count - 1: -maps.congruence((T @ J).T)}, T @ above @ T.T))
+        size, fixed, (R, rest) = self.knots + 1, list(holds), reset
+        ends = range(size, self.count, size)
+        fixed += [self._kept(j - 1, j, R, np.eye(len(W)), rest) for j in ends]
+        fixed += [self._kept(self.count - 1, 0, J, self._seen(J), above) for J, above in jumps]
         first = np.unique(np.linspace(0, len(F) - 1, _FIRST).astype(int)).tolist()
         for segment in self.segments:
             self._asked.setdefault(segment, list(first))
         for _ in range(_ROUNDS):
-            blocks = fixed + [self._block(maps, s, F[i], pushed[i]) for s, some in self._asked.items() for i in some]
-            Q = _least(maps, blocks, W, self._rising)
-            if Q is None:
+            bounds = fixed + [self._bound(s, F[i], pushed[i]) for s, some in self._asked.items() for i in some]
+            chain = ChainMap(bounds, self.count, W / self.count)
+            found = least(chain, gap=_GAP)
+            if found is None:
                 return None
-            added = 0
+            Q, added = chain.matrices(found), 0
             for segment, asked in self._asked.items():
                 k, after, e = segment
                 product = F @ Q[e]
                 left = Q[after] - Q[k] - self.step * (product + product.transpose(0, 2, 1) + pushed)
-                least = np.linalg.eigvalsh(left)[:, 0]
-                new = [i for i in np.argsort(least)[:_WORST].tolist() if least[i] < 0 and i not in asked]
+                lowest = np.linalg.eigvalsh(left)[:, 0]
+                new = [i for i in np.argsort(lowest)[:_WORST].tolist() if lowest[i] < 0 and i not in asked]
                 asked += new
                 added += len(new)
             if not added:
                 return Q
         return None
 
-    def _block(self, maps: MarginProgram, segment: Segment, F: Array, pushed: Array) -> Block:
-        k, after, e = segment
-        terms = {k: -maps.eye, after: maps.eye}
-        terms[e] = terms[e] - self.step * maps.lyapunov(F.T)
-        return {j: X / self.step for j, X in terms.items()}, pushed
+    def _bound(self, segment: Segment, F: Array, pushed: Array) -> Bound:
+        """Return −(Q_{k+1} − Q_k) + step (F Q_e + Q_e Fᵀ + pushed) ⪯ 0."""
+        (k, after, e), eye = segment, np.eye(len(F))
+        terms = {k: eye / 2, after: -eye / 2}
+        terms[e] = terms[e] + self.step * F
+        return Bound({j: (L, eye) for j, L in terms.items()}, self.step * pushed)
 
-    @property
-    def _rising(self) -> Array:
-        """Return what makes Q_k of Q_0 and of rates between knots: these are not lost in rounding, (knots, knots)."""
-        size = self.knots + 1
-        added = np.array([1.0 if k % size == 0 else self.step for k in range(self.count)])
-        return np.asarray(np.tril(np.ones((self.count, self.count))) * added)
+    @staticmethod
+    def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
+        """Return T (J Q_before Jᵀ + above − Q_after) Tᵀ ⪯ 0."""
+        return Bound({before: (T @ J / 2, (T @ J).T), after: (-T / 2, T.T)}, T @ above @ T.T)
 
     def _seen(self, J: Array) -> Array:
         """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
@@ -142,21 +156,6 @@ class TubeProgram:
         return np.asarray(U.T / np.sqrt(np.clip(s, self.most * float(self.system.period), 1.0))[:, None])
 
 
-def _least(maps: MarginProgram, blocks: Sequence[Block], W: Array, rising: Array) -> Array | None:
-    """Return Q_k with the least tr W ΣQ_k among those that satisfy some inequalities."""
-    images = (
-        {j: np.asarray(-sum(rising[k, j] * X for k, X in terms.items())) for j in range(maps.count)}
-        for terms, _ in blocks
-    )
-    G = sparsely(images, maps.size, maps.count * maps.size)
-    sides = np.concatenate([-upper(above) for _, above in blocks])
-    cost = np.outer(rising.sum(axis=0) / maps.count, upper(W)).ravel()
-    cones = [clarabel.PSDTriangleConeT(maps.n)] * len(blocks)
-    try:
-        answer = minimise(cost, G, sides, cones, _GAP)
-    except ArithmeticError:
-        return None
-    if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-        return None
-    x = np.array(answer.x).reshape(maps.count, maps.size)
-    return np.asarray(np.tensordot(rising @ x, maps.basis, 1))
+def _unlike(matrices: Array) -> Array:
+    """Return the matrices without repetitions."""
+    return np.asarray(np.unique(matrices, axis=0)) if len(matrices) else matrices

@@ -1,52 +1,54 @@
-"""What acts on the errors of a sampled loop in a run, enclosed at all times: see `control.sampled_disturbances`.
+"""What acts on the errors of a sampled loop in a run, enclosed in each substep: see `control.sampled_disturbances`.
 
 The desired trajectory is walked from substep to substep and facet to facet; beside it the generator of the program is
 stepped as it runs, by itself. With x̂ = x_d at a tick the program would hold
 
     u_k = u_ff,k + K (x_d(t_k) − x_d,k)
 
-x_d,k and u_ff,k as it has them: what this is off u_ff(t) until the next tick is ω(t), the mean over the sample, what
-its steps leave of (15) and pieces of the reference that it sees at the next tick and all. The integral of u_ff is
-walked too, so that its mean ū from tick to tick is known: ω is u_k − ū in the mean, and W' = ū − u_ff. W goes along as
-a state, and what is held, ū and x_d + B W as it was at the last substep as states at rest, so that Bernstein
-coefficients enclose the differences.
+x_d,k and u_ff,k as it has them: its steps of (15) and pieces of the reference that it sees at the next tick and all. So
+the nominal loop, of the mean A₀ of the cells, is off x_d by
+
+    e₀' = A₀ e₀ + B (u_k + K e₀(t_k) − u_ff(t)),   e₀(0) = 0
+
+which is walked too. What is held, and R (x_d + e₀) as it was at the last substep, go along as states at rest, so that
+Bernstein coefficients enclose the differences, and what the integrals of their squares are.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from scipy.linalg import expm
 
-from pwatrack.arrays import EPS, OVER_POWERS, Array, IntArray
-from pwatrack.control.bounds import Channel
+from pwatrack.arrays import OVER_POWERS, Array, IntArray
+from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.rational import pivots
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.desired import along, desired_flow
-from pwatrack.simulation.enclosure import Segments, enclosed
+from pwatrack.simulation.enclosure import Segments, spans
 from pwatrack.simulation.flow import Flow, Mode
-from pwatrack.simulation.propagate import pieces, trace_blocks
+from pwatrack.simulation.propagate import pieces, sample_count, trace_blocks
 from pwatrack.simulation.trace import Trace
 
 _MOST = 500_000  # substeps of a run that is walked: half a minute
 BLOCK = 20_000  # of them at a time
-_ROUNDING = 1e-11  # of the size of what is held: what differs by less differs by rounding
+_ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
 _ON_TICK = 1e-9  # of a substep: a break that is nearer before one is on it but for rounding
-_LOST = 8 * EPS  # of the integral of u_ff: what is lost in a difference of it
 
 
 def acting(
     controller: ProvedController, conditions: Conditions, errors: SampledErrors, eta: Array, duration: float
 ) -> Acting | None:
-    """Return how large what acts gets up to a time (s); None where that is not known.
+    """Return how large what acts gets up to a time (s), substep by substep; None where that is not known.
 
-    It is not for an η that is played back, where loads move x_d, where inputs are late, and for very many samples.
+    It is not for an η that is played back, where loads move x_d, and for very many samples. Where inputs are late it
+    begins with x̂ = x = x_d as the first input comes. Time is that of the program.
 
     Args:
         controller: With the gains of `errors`.
@@ -57,133 +59,206 @@ def acting(
     """
     gains, trajectory = errors.gains, controller.trajectory
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
-    runs, count = program(controller, Conditions(sampling=sampling)), duration / gains.sample_time * gains.substeps
+    runs = program(controller, Conditions(sampling=sampling))
     moving = (rows[..., : runs.sizes["N"] - runs.sizes["n"]] for rows in (runs.generator, runs.guards, runs.x_d))
     played = trajectory.preview is not None or any(rows.any() for rows in moving)
-    if played or gains.delay or count > _MOST:
-        return None
     end = trajectory.exosystem.end
-    walk, m = _Walk(controller, errors, runs), len(runs.K)
+    duration = duration if end is None else min(duration, end)
+    if played or duration / gains.sample_time * gains.substeps > _MOST:
+        return None
+    walk = _Walk(controller, errors, runs)
     try:
-        found = enclosed(walk.segments(eta, duration if end is None else min(duration, end)), walk.rows)
+        found = walk.walked(eta, duration)
     except (CheckFailed, Undecided):
         return None
-    sizes = np.append(walk.mean, np.maximum(np.abs(found.low), np.abs(found.high)) * OVER_POWERS)
-    if not np.isfinite(sizes).all():
+    if not all(np.isfinite(X).all() for X in (*found.squares.values(), *found.beside.values())):
         return None
-    sizes[sizes <= walk.rounding] = 0.0
-    mean, off, ripple, moved = np.split(sizes, [m, 2 * m, 3 * m])
-    total, steps = _outside(controller, conditions, duration), np.zeros(m)
+    squares, beside, count = dict(found.squares), dict(found.beside), len(found.near)
+    for channel, each in _outside(controller, conditions, errors, duration, count).items():
+        late = np.sqrt(squares.get(channel, np.zeros(count)))  # d acts for as long as passes
+        squares[channel] = (
+            late + np.sqrt(each) * (float(errors.paces[-1]) if channel[0] == "disturbance" else 1.0)
+        ) ** 2
     if conditions.quanta is not None:
-        steps = conditions.quanta.inputs / 2
-    inside: dict[Literal["input", "ripple", "moved"], Array]
-    inside = {"input": mean + steps, "ripple": ripple, "moved": moved}
-    total |= {(kind, k): size for kind, all_ in inside.items() for k, size in enumerate(all_.tolist())}
-    return Acting(sizes={channel: size for channel, size in total.items() if size}, off=off + steps)
+        for k, steps in enumerate((conditions.quanta.inputs / 2).tolist()):
+            squares["input", k] = np.full(count, steps**2)
+            beside["input", k] = beside["input", k] + steps
+    return replace(found, squares={channel: each for channel, each in squares.items() if each.any()}, beside=beside)
 
 
-def _outside(controller: ProvedController, conditions: Conditions, duration: float) -> dict[Channel, float]:
-    """Return how large disturbances get, what is measured is off by noise and steps, at the times of ticks and all."""
-    loads, disturbance, found = controller.plant.loads, conditions.disturbance, dict[Channel, float]()
+def _outside(
+    controller: ProvedController, conditions: Conditions, errors: SampledErrors, duration: float, count: int
+) -> dict[Channel, Array]:
+    """Return the mean squares in each substep of disturbances; of what is measured off by noise and steps, at ticks."""
+    loads, disturbance, parts = controller.plant.loads, conditions.disturbance, errors.gains.substeps
+    h, found = errors.gains.sample_time, dict[Channel, Array]()
     if disturbance is not None and not (loads is not None and loads.are(disturbance)):
         rows = np.hstack([disturbance.Q, np.zeros((len(disturbance.Q), 1))])
-        within = enclosed([along(disturbance, duration)], lambda _: rows)
-        sizes = np.maximum(np.abs(within.low), np.abs(within.high)).tolist()
-        found |= {("disturbance", k): size for k, size in enumerate(sizes)}
-    off = np.zeros(len(controller.plant.C))
+        step = h / parts
+        segments = along(disturbance, count * step, steps=count)
+        at = np.clip(np.floor(segments.t / step + _ON_TICK).astype(np.int64), 0, count - 1)
+        squares = _by_substep(spans(segments, lambda _: rows).squares, at, count) / step
+        found |= {("disturbance", k): squares[:, k] for k in range(squares.shape[1])}
+    ticks = np.arange(count) // parts
+    off = np.zeros((ticks[-1] + 1, len(controller.plant.C)))
     if conditions.noise is not None:
-        off += np.abs(drawn(conditions.noise, duration)["values"]).max(axis=0)
+        values = np.abs(drawn(conditions.noise, duration)["values"])
+        same = conditions.noise.sample_time == h
+        off += values[: len(off)] if same and len(values) >= len(off) else values.max(axis=0)
     if conditions.quanta is not None:
         off += conditions.quanta.outputs / 2
-    return found | {("noise", k): size for k, size in enumerate(off.tolist())}
+    return found | {("noise", k): off[ticks, k] ** 2 for k in range(off.shape[1])}
+
+
+def _by_substep(squares: Array, at: IntArray, count: int) -> Array:
+    """Return sums over the segments of each substep, (count, q)."""
+    total = np.zeros((count, squares.shape[1]))
+    np.add.at(total, at, squares)
+    return total
 
 
 class _Walk:
-    """x_d with what the program holds at ticks, and x_d + B W at substeps, beside it."""
+    """x_d with what the program holds at ticks, and with e₀, and R (x_d + e₀) as it was at substeps, beside it."""
 
     def __init__(self, controller: ProvedController, errors: SampledErrors, runs: SampledController) -> None:
         self._plant, self._trajectory, self._runs = controller.plant, controller.trajectory, runs
-        self._R, self._RB, self._parts = errors.R.floats, errors.R.floats @ controller.plant.B, errors.gains.substeps
+        self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, errors.gains.substeps
+        self._tracked = np.eye(len(self._A0)) if controller.tracking == "state" else controller.plant.tracked
+        self._kind, at = controller.tracking, pivots(errors.R.centre)
+        self._rest = self._A0 - self._A0[:, at] @ self._R
+        self._late = float(errors.paces[-1] - 1)  # by how much more of its time passes than the program counts
         self._step = errors.gains.sample_time / self._parts
-        self._m = m = len(runs.K)
-        self.mean = np.zeros(m)  # of ω from tick to tick, the largest
-        self._largest = np.zeros(2 * m + len(self._R))  # of what is held, and of the integral of u_ff
+        (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
+        self._flow, self._ticks = desired_flow(controller.plant, controller.trajectory), 0  # those before the block
+        self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
 
-    @property
-    def rounding(self) -> Array:
-        """What counts as rounding of the mean of ω, of ω, W and what moves."""
-        u, integral, moved = np.split(self._largest, [self._m, 2 * self._m])
-        h = self._step * self._parts
-        mean = np.maximum(_ROUNDING * u, _LOST * integral / h)
-        return np.concatenate([mean, _ROUNDING * u, mean * h, _ROUNDING * moved])
+    def walked(self, eta: Array, duration: float) -> Acting:
+        """Return what acts by the reference alone."""
+        count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.partition.H
+        signals = m + len(self._tracked)
+        squares, areas, first = np.zeros((count, 2 * q + self._n)), np.zeros((count, 2 * q)), 0
+        most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
+        for segments, at in self._segments(eta, duration):
+            found, at = spans(segments, self._rows), at + first
+            np.add.at(squares, at, np.delete(found.squares, range(2 * q, 2 * q + signals + len(H)), axis=1))
+            np.add.at(areas, at, found.areas[:, : 2 * q])
+            size = np.maximum(np.abs(found.low), np.abs(found.high))
+            np.maximum.at(most, at, size[:, 2 * q : 2 * q + signals])
+            apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
+            np.minimum.at(near, at, apart[:, 2 * q + signals :][:, : len(H)])
+            first = int(at[-1]) + 1
+        squares, areas = squares * OVER_POWERS / self._step, areas * OVER_POWERS / self._step
+        least = _ROUNDING * np.concatenate([self._largest[m:], self._largest[m:], np.zeros(self._n)])
+        squares[:, np.sqrt(squares.max(axis=0)) <= least] = 0.0
+        squares[:, 2 * q :] *= self._late**2
+        most[:, :m][most[:, :m] <= _ROUNDING * self._largest[:m]] = 0.0
+        names: list[Channel] = [("nominal", k) for k in range(q)]
+        names += [("moved", k) for k in range(q)]
+        names += [("disturbance", k) for k in range(self._n)]
+        forms: list[Form] = [("input", k) for k in range(m)]
+        forms += [(self._kind, k) for k in range(len(self._tracked))]
+        return Acting(
+            squares=dict(zip(names, squares.T, strict=True)),
+            means=dict(zip(names[q : 2 * q], areas.T[q:], strict=True)),
+            beside=dict(zip(forms, most.T, strict=True)),
+            planes=H,
+            near=near,
+        )
 
-    def rows(self, mode: Mode) -> Array:
-        """Return rows of ω, W, and of what R (x_d + B W) was less what it is, on (W, what is held, ∫ u_ff, η̂, w, 1)."""
-        m, q = self._m, len(self._R)
-        u_ff, x_d = self._trajectory.u_ff[mode[0]], self._R @ self._trajectory.x_d[mode[0]]
-        of_W, held = np.vstack([np.zeros((m, m)), np.eye(m), -self._RB]), np.zeros((2 * m + q, 2 * m + q))
-        held[:m, :m], held[2 * m :, 2 * m :] = np.eye(m), np.eye(q)
-        now = np.vstack([-u_ff, np.zeros_like(u_ff), -x_d])
-        return np.hstack([of_W, held, np.zeros((2 * m + q, m)), now])
+    def _rows(self, mode: Mode) -> Array:
+        """Return rows on (e₀, what is held, η̂, w, 1).
 
-    def segments(self, eta: Array, duration: float) -> Iterator[Segments]:
-        """Yield the walk block by block."""
-        m, system, p, held = self._m, self._trajectory.exosystem, len(eta), self._held(eta)
-        flow, z0 = self._flow(), np.concatenate([np.zeros(m), eta, system.w0, [1.0]])
-        resets = pieces(system, slice(m + p, m + p + len(system.w0)))
+        They are R e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, and (x_d + e₀)' less A₀ ε_k R_k e₀.
+        """
+        n, m, q, planes = self._n, self._m, self._q, self._plant.partition
+        u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
+        p, R, H, C, B = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B
+        of_planes = H @ x_d
+        of_planes[:, -1] += planes.h
+        zero = np.zeros
+        return np.vstack(
+            [
+                np.hstack([R, zero((q, m + q + p))]),
+                np.hstack([R, zero((q, m)), -np.eye(q), R @ x_d]),
+                np.hstack([zero((m, n)), np.eye(m), zero((m, q)), -u_ff]),
+                np.hstack([C, zero((len(C), m + q + p))]),
+                np.hstack([H, zero((len(H), m + q)), of_planes]),
+                np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
+            ]
+        )
+
+    def _segments(self, eta: Array, duration: float) -> Iterator[tuple[Segments, IntArray]]:
+        """Yield the walk block by block, with the substep of the block that each segment is in."""
+        system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta)
+        flow, z0 = self._flow, np.concatenate([eta, system.w0, [1.0]])
+        resets = pieces(system, slice(p, p + len(system.w0)))
         for trace in trace_blocks(
             flow, z0, duration=duration, sample_time=self._step, resets=resets, most=BLOCK * self._parts
         ):
-            x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z[:, m:])
-            known = zip(x_d[:: self._parts], held, strict=False)
+            x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
+            known = zip(x_d[:: self._parts], ticks, strict=False)
             u = np.array([u_ff + self._runs.K @ (now - wanted) for now, (wanted, u_ff) in known])
-            yield self._beside(Segments.of(flow, trace), trace, x_d @ self._R.T, u)
+            u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0
+            yield self._beside(flow, trace, x_d @ self._R.T, u)
+            self._ticks += len(u)
 
-    def _flow(self) -> Flow:
-        """Return the flow of (∫ u_ff, η̂, w, 1)."""
-        flow, m = desired_flow(self._plant, self._trajectory), self._m
-        (part,) = flow.parts
-        F, guards = np.pad(part.F, ((0, 0), (m, 0), (m, 0))), np.pad(part.guards, ((0, 0), (m, 0)))
-        F[:, :m, m:] = self._trajectory.u_ff
-        return Flow(F0=np.pad(flow.F0, (m, 0)), parts=(replace(part, guards=guards, F=F),))
-
-    def _beside(self, segments: Segments, trace: Trace, moving: Array, u: Array) -> Segments:
-        """Return segments with W and what is held in each of them before ζ; each block begins at a tick."""
-        m, parts, size = self._m, self._parts, 3 * self._m + len(self._R)
-        assert trace.breaks is not None
-        end = expm(segments.F[segments.number[-1]] * segments.length[-1]) @ segments.zeta[-1]
-        ticks, total = np.append(trace.t[::parts], trace.breaks.until), np.vstack([trace.z[::parts, :m], end[:m]])
-        length = np.diff(ticks)[:, None]
-        mean = np.divide(np.diff(total, axis=0), length, out=u.copy(), where=length > _ON_TICK * self._step)
-        self.mean = np.maximum(self.mean, np.abs(u - mean).max(axis=0))
-
-        def W(substep: IntArray, t: Array, now: Array) -> Array:
-            tick = substep // parts
-            return np.asarray(mean[tick] * (t - ticks[tick])[:, None] - (now - total[tick]))
-
-        moving = moving + W(np.arange(len(trace.t)), trace.t, trace.z[:, :m]) @ self._RB.T
-        self._largest = np.maximum(self._largest, np.hstack([np.abs(X).max(axis=0) for X in (u, total, moving)]))
+    def _beside(self, flow: Flow, trace: Trace, moving: Array, u: Array) -> tuple[Segments, IntArray]:
+        """Return segments with e₀ and what is held in each of them before ζ; each block begins at a tick."""
+        segments, n, m, q = Segments.of(flow, trace), self._n, self._m, self._q
         at = np.searchsorted(trace.t, segments.t + _ON_TICK * self._step, side="right") - 1
-        before = W(at, segments.t, segments.zeta[:, :m]), u[at // parts], mean[at // parts], moving[at]
-        F = np.pad(segments.F, ((0, 0), (size, 0), (size, 0)))
-        F[:, :m, 2 * m : 3 * m] = np.eye(m)
-        F[:, :m, size + m :] = -self._trajectory.u_ff[[mode[0] for mode in segments.modes]]
-        return replace(segments, F=F, zeta=np.hstack([*before, segments.zeta]))
+        F = np.pad(segments.F, ((0, 0), (n + m + q, 0), (n + m + q, 0)))
+        F[:, :n, :n], F[:, :n, n : n + m] = self._A0, self._plant.B
+        F[:, :n, n + m + q :] = -self._plant.B @ self._trajectory.u_ff[[mode[0] for mode in segments.modes]]
+        before = np.zeros((len(at), n + m + q))
+        turns = self._turns(F, segments)
+        driven = np.einsum("knj,kj->kn", turns[:, :, n + m + q :], segments.zeta)
+        e, last, held = self._e, -1, np.zeros(m + q)
+        for i, substep in enumerate(at.tolist()):
+            if substep != last:
+                if substep // self._parts != last // self._parts or last < 0:
+                    e = e * (self._ticks + substep // self._parts > self._runs.sampling.delay)
+                    held[:m] = u[substep // self._parts] + self._runs.K @ e
+                held[m:], last = moving[substep] + self._R @ e, substep
+            before[i, :n], before[i, n:] = e, held
+            e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
+        self._e, self._largest = e, np.maximum(self._largest, np.abs(before[:, n:]).max(axis=0))
+        return replace(segments, F=F, zeta=np.hstack([before, segments.zeta])), at
 
-    def _held(self, eta: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield x_d and u_ff as the program has them, tick by tick; loads that it estimates move no x_d."""
-        runs, follows = self._runs, self._runs.follows
-        assert follows is not None
-        loads = runs.sizes["N"] - runs.sizes["n"]
-        rows = (runs.guards, runs.x_d, runs.u_ff, runs.generator)
-        guards, x_d, u_ff, generator = (X[..., loads:] for X in rows)
-        starts, w, tick = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy(), 0
-        begins = sorted(starts)
-        while True:
-            while begins and begins[0][0] <= tick:
-                begin = begins.pop(0)
-                w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
-            s = np.concatenate([eta, w, [1.0]])
-            cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
-            yield x_d[cell] @ s, u_ff[cell] @ s
-            eta, w, tick = generator[cell] @ s, follows.turn[0] @ w if len(w) else w, tick + 1
+    def _turns(self, F: Array, segments: Segments) -> Array:
+        """Return the rows of e^{F length} that tell e₀ at the end of each segment, (M, n, N)."""
+        turns = np.empty((len(segments.t), self._n, F.shape[1]))
+        whole = np.abs(segments.length - self._step) <= _ON_TICK * self._step
+        for number, F_i in enumerate(F):
+            here, turn = whole & (segments.number == number), expm(F_i * self._step)
+            less = (segments.length[here] - self._step)[:, None, None]
+            turns[here] = turn[: self._n] + less * (turn @ F_i)[: self._n]
+        for i in np.flatnonzero(~whole).tolist():
+            turns[i] = expm(F[segments.number[i]] * segments.length[i])[: self._n]
+        return turns
+
+
+def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield x_d and u_ff as the program has them for what it holds from each tick on, from η̂(0) at the first.
+
+    Loads that it estimates move no x_d. Before the first input that it puts out it has 0.
+    """
+    follows = runs.follows
+    assert follows is not None
+    loads = runs.sizes["N"] - runs.sizes["n"]
+    rows = (runs.guards, runs.x_d, runs.u_ff, runs.generator)
+    guards, x_d, u_ff, generator = (X[..., loads:] for X in rows)
+    starts, w, tick = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy(), 0
+    begins = sorted(starts)
+    for early in follows.early:
+        s = np.concatenate([eta, early, [1.0]])
+        cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
+        yield x_d[cell] @ s, np.zeros(u_ff.shape[1])
+        eta = generator[cell] @ s
+    while True:
+        while begins and begins[0][0] <= tick:
+            begin = begins.pop(0)
+            w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
+        s = np.concatenate([eta, w, [1.0]])
+        cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
+        yield x_d[cell] @ s, u_ff[cell] @ s
+        eta, w, tick = generator[cell] @ s, follows.turn[0] @ w if len(w) else w, tick + 1

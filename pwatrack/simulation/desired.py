@@ -178,10 +178,10 @@ def w_alone(gains: Array, p: int) -> bool:
     return not gains[:, :, :p].any() and not (gains - gains[0]).any()
 
 
-def along(system: Exosystem, duration: float, *, before: int = 0) -> Segments:
-    """Return (0, w, 1), with so many 0 before w, from piece to piece of an exosystem."""
+def along(system: Exosystem, duration: float, *, before: int = 0, steps: int = STEPS) -> Segments:
+    """Return (0, w, 1), with so many 0 before w, from piece to piece of an exosystem, and step to step of the time."""
     breaks = [reset.t for reset in system.resets if reset.t < duration]
-    t = np.unique([*np.linspace(0.0, duration, STEPS + 1), *breaks])
+    t = np.unique([*np.linspace(0.0, duration, steps + 1), *breaks])
     zeta = np.hstack([np.zeros((len(t), before)), system.states(t), np.ones((len(t), 1))])
     F = block_diag(np.zeros((before, before)), system.S, np.zeros((1, 1)))
     number, length = np.zeros(len(t), dtype=np.int64), np.diff(t, append=t[-1])

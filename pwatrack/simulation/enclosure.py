@@ -29,6 +29,7 @@ CLOSE = 1e-7  # of the size of a signal: what is said is at most so much above w
 _SAME = 1e-6  # of the size: of peaks that differ by less the first one counts
 _SHORT = 0.5  # ‖F s‖ for the length s from which on there is doubling
 _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the length than it gains
+_ONE_LOOK = 6  # the degree where pieces are short, and none is split
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
 MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
@@ -140,8 +141,9 @@ class Transitions:
 class _Tables:
     """What is known of some rows in a mode, transposed, so that products run along rows."""
 
-    def __init__(self, turns: Transitions, rows: Array) -> None:
+    def __init__(self, turns: Transitions, rows: Array, degree: int = _DEGREE) -> None:
         self.turns, self.F, self.rows, self.u = turns, turns.F.T, rows.T, unit(len(turns.F))
+        self.degree = degree
         self._terms: dict[int, Array] = {}
         self._bounds: dict[int, Array] = {}
 
@@ -155,13 +157,59 @@ class _Tables:
         return self._terms[degree]
 
     def bounds(self, d: int) -> Array:
-        """Return |r| R |F|ʲ for j up to 4, R for all σ ≤ s 2ᵈ, side by side, (N, 5 q)."""
+        """Return |r| R |F|ʲ for j up to one more than the degree, R for all σ ≤ s 2ᵈ, side by side, (N, …)."""
         if d not in self._bounds:
             powers = [(np.abs(self.rows).T @ self.turns.reach(d)).T]
-            for _ in range(_DEGREE + 1):
+            for _ in range(self.degree + 1):
                 powers.append(np.abs(self.F) @ powers[-1])
             self._bounds[d] = OVER_SUMS * np.hstack(powers)
         return self._bounds[d]
+
+    def polynomials(self, zeta: Array, length: Array, longest: int) -> tuple[Array, Array]:
+        """Return the coefficients of powers of τ on pieces no longer than s 2^longest, and what signals are off them.
+
+        Their shapes are (degree + 1, P, q) and (P, q).
+        """
+        q, degree = self.rows.shape[1], self.degree if longest < _STIFF else 1
+        scale = np.array([length**j / factorial(j) for j in range(degree + 2)])[:, :, None]
+        terms, bounds = zeta @ self.terms(degree), self.bounds(longest)
+        powers = scale[:-1] * terms[:, : q * (degree + 1)].reshape(-1, degree + 1, q).swapaxes(0, 1)
+        rest = scale[-1] * (np.abs(terms[:, q * (degree + 1) :]) @ bounds[:, :q])
+        rounded = (np.abs(zeta) @ bounds[:, : q * (degree + 2)]).reshape(-1, degree + 2, q).swapaxes(0, 1)
+        return powers, np.asarray(OVER_SUMS * (rest + self.u * (scale * rounded).sum(axis=0)))
+
+
+class Spans(NamedTuple):
+    """What signals are within on each segment, and the integrals of their squares and sizes at most, (M, q) each."""
+
+    low: Array
+    high: Array
+    squares: Array
+    areas: Array
+
+
+def spans(block: Segments, rows: Rows) -> Spans:
+    """Enclose r z on each segment of a block, for each of the rows (q, N), in one look.
+
+    Sizes of Bernstein coefficients are those of a polynomial above |r z|, whose integral is their mean times the
+    length; that of the square of the polynomial is known.
+    """
+    found = list[tuple[IntArray, Array, Array, Array, Array]]()
+    for number, mode in enumerate(block.modes):
+        here = np.flatnonzero(block.number == number)
+        if not len(here):
+            continue
+        table = _Tables(Transitions(block.F[number]), block.reading(rows(mode)), _ONE_LOOK)
+        length = np.maximum(block.length[here], TINY)
+        powers, off = table.polynomials(block.zeta[here], length, int(table.turns.levels(length).max()))
+        control = np.tensordot(_BERNSTEIN[len(powers) - 1], powers, 1)
+        mean, over = np.abs(control).mean(axis=0), OVER_SUMS * block.length[here, None]
+        square = np.einsum("ipq,ij,jpq->pq", control, _squares(len(powers) - 1), control)
+        square = np.maximum(square, 0.0) + (OVER_SUMS - 1) * mean**2
+        squares, areas = square + 2 * off * mean + off**2, mean + off
+        found.append((here, control.min(axis=0) - off, control.max(axis=0) + off, over * squares, over * areas))
+    order = np.argsort(np.concatenate([here for here, *_ in found]))
+    return Spans(*(np.concatenate(part)[order] for part in list(zip(*found, strict=True))[1:]))
 
 
 class Enclosing:
@@ -259,17 +307,10 @@ class Enclosing:
         if not len(t) or self._left < 0:
             return None
         self._left -= len(t)
-        levels, q = table.turns.levels(length), table.rows.shape[1]
-        longest = int(levels.max())
-        degree = _DEGREE if longest < _STIFF else 1
+        levels = table.turns.levels(length)
         with np.errstate(over="ignore", invalid="ignore"):
-            scale = np.array([length**j / factorial(j) for j in range(degree + 2)])[:, :, None]
-            terms, bounds = zeta @ table.terms(degree), table.bounds(longest)
-            powers = scale[:-1] * terms[:, : q * (degree + 1)].reshape(-1, degree + 1, q).swapaxes(0, 1)
-            rest = scale[-1] * (np.abs(terms[:, q * (degree + 1) :]) @ bounds[:, :q])
-            rounded = (np.abs(zeta) @ bounds[:, : q * (degree + 2)]).reshape(-1, degree + 2, q).swapaxes(0, 1)
-            off = OVER_SUMS * (rest + table.u * (scale * rounded).sum(axis=0))
-            control = np.tensordot(_BERNSTEIN[degree], powers, 1)  # (degree + 1, P, q)
+            powers, off = table.polynomials(zeta, length, int(levels.max()))
+            control = np.tensordot(_BERNSTEIN[len(powers) - 1], powers, 1)  # (degree + 1, P, q)
             upper = self._sides(control).max(axis=0) + self._spread(off)
             upper = np.where(np.isnan(upper), np.inf, upper)
             above = self._above(table, upper, zeta)
@@ -324,4 +365,12 @@ def bernstein(degree: int) -> Array:
     return np.array([[comb(i, j) / comb(degree, j) for j in range(degree + 1)] for i in range(degree + 1)])
 
 
-_BERNSTEIN = {degree: bernstein(degree) for degree in (1, _DEGREE)}
+def _squares(degree: int) -> Array:
+    """Return the integrals over [0, 1] of products of Bernstein polynomials."""
+    k = range(degree + 1)
+    return np.array([[comb(degree, i) * comb(degree, j) / comb(2 * degree, i + j) for j in k] for i in k]) / (
+        2 * degree + 1
+    )
+
+
+_BERNSTEIN = {degree: bernstein(degree) for degree in (1, _DEGREE, _ONE_LOOK)}

@@ -56,16 +56,27 @@ class AuditedErrors:
 
     def gain(self, change: Ball) -> Ball:
         """Return G with G R = A_a - A_b, where R has for each row a column in which it alone is 1."""
-        columns = list(zip(*self.R[0], strict=True))
-        units = [[Fraction(int(j == k)) for j in range(len(self.R[0]))] for k in range(len(self.R[0]))]
-        if any(tuple(unit) not in columns for unit in units):
-            raise AuditFault("the rows of the sampled loop are not in their echelon form")
-        at = [columns.index(tuple(unit)) for unit in units]
+        at = self.at_rows
         G = Ball(*([[row[k] for k in at] for row in X] for X in change))
         alone = all(sum(map(bool, row)) == 1 for row in self.R[0]) or not change.radius
         if not at or not alone or not within(change, G @ self.R):
             raise AuditFault("the rows of the sampled loop do not span the differences of its cells")
         return G
+
+    @cached_property
+    def at_rows(self) -> list[int]:
+        """For each row of R a column in which it alone is 1."""
+        columns = list(zip(*self.R[0], strict=True))
+        units = [tuple(Fraction(int(j == k)) for j in range(len(self.R[0]))) for k in range(len(self.R[0]))]
+        if any(unit not in columns for unit in units):
+            raise AuditFault("the rows of the sampled loop are not in their echelon form")
+        return [columns.index(unit) for unit in units]
+
+    @cached_property
+    def mean(self) -> Ball:
+        """The mean of all different A_i, for the nominal loop."""
+        different = [A for _, A in unlike(self.plant.A)]
+        return scaled(reduce(Ball.__add__, different), Fraction(1, len(different)))
 
     @cached_property
     def flows(self) -> list[Ball]:

@@ -1,19 +1,20 @@
 """What is left of the errors of a loop that is sampled: tubes that depend on the time since a tick."""
 
 from fractions import Fraction
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
-from .balls import Ball, falls, stacked
+from .balls import Ball, enlarge, falls, stacked, unlike
 from .bounds import CHANNEL, SIGNALS, Loop
 from .clocked import Form, shrinks
 from .matrices import AuditFault, added, definite, identity
 from .reading import distinct, number, packed, place
-from .shape import NUMBER, PACKED, of
+from .shape import NUMBER, PACKED, WHOLE, of
 from .ticks import AuditedErrors
 
 KEY = "sampled_bounds"
-SHAPE = [{"channel": CHANNEL, "Q": [PACKED], "signals": SIGNALS} | of(NUMBER, "a b")]
+SHAPE = [{"channel": CHANNEL, "Q": [PACKED], "signals": SIGNALS, "summed": WHOLE} | of(NUMBER, "a b")]
 
 
 def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
@@ -22,21 +23,23 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         return [], []
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
-    distinct([entry["channel"] for entry in found], "a channel of the sampled loop")
-    if whole["sampled"]["delay"] or number(whole["sampled"]["jitter"]):
-        raise AuditFault("bounds of a sampled loop are of one without delay and jitter")
+    distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
     tubes = Tubes(whole["sampled"], loop)
     faults = [f"the sampled loop, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
-    return faults, [f"the sampled loop: what {len(found)} disturbances, noises and inputs leave is proved"]
+    channels = {tuple(entry["channel"]) for entry in found}
+    return faults, [f"the sampled loop: what {len(channels)} disturbances, noises and inputs leave is proved"]
 
 
 class Tubes:
-    """-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0, J Q_N J^T / (1 - b) + h h^T / b < Q_0."""
+    """-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0, J Q_N J^T / (1 - b) + h h^T / b < Q_0.
+
+    Of what is summed g g^T < Q_e in place of the term with g.
+    """
 
     def __init__(self, sampled: Any, loop: Loop) -> None:
         self.errors = errors = AuditedErrors(sampled, loop)
         self.parts, self.period = sampled["substeps"] if errors.changes else 1, number(sampled["sample_time"])
-        self.sizes = errors.n, errors.m, errors.N, errors.order - errors.kept
+        self.sizes = errors.n, errors.m, errors.N, len(errors.R[0])
 
     def faults(self, entry: Any) -> list[str]:
         """Return what is wrong with one tube."""
@@ -45,8 +48,11 @@ class Tubes:
         knots, rest = divmod(len(forms), self.parts)
         if rest or knots < 2 or any(len(Q) != errors.order for Q, _ in forms):
             raise AuditFault("the tube of the sampled loop is not that of its knots")
+        summed = entry["summed"] == 1
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
+        if entry["summed"] not in (0, 1) or (summed and ticks):
+            raise AuditFault("only what acts between ticks is summed")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
         held, between, kick = self.drive(entry["channel"])
         runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
@@ -58,7 +64,9 @@ class Tubes:
         if not all(shrinks(errors.substep.T, before[-1], after[0]) for before, after in pairwise(runs)):
             faults.append("the end of a substep leaves its tube")
         flows = [(F, F @ held + between) for F in errors.flows]
-        if not all(self.inside(run, flows, a) for run in runs):
+        if summed and not all(holds(Q, g) for _, g in unlike([g for _, g in flows]) for Q in forms):
+            faults.append("what is summed leaves its tube")
+        if not all(self.inside(run, flows, a, summed) for run in runs):
             faults.append("it is left between ticks")
         for kind, k, size in entry["signals"]:
             c = self.row(kind, k)
@@ -67,13 +75,13 @@ class Tubes:
                 faults.append(f"{kind} {k} is not bounded by {size}")
         return faults
 
-    def inside(self, run: list[Form], flows: list[tuple[Ball, Ball]], a: Fraction) -> bool:
+    def inside(self, run: list[Form], flows: list[tuple[Ball, Ball]], a: Fraction, summed: bool) -> bool:
         """Decide that a tube is not left in a substep."""
         n, rate = self.errors.order, (len(run) - 1) * self.parts / self.period
         for one, other in pairwise(run):
             fall = [[-v * rate for v in row] for row in added(other[0], one[0], -1)]
             for F, g in flows:
-                square, open_ = ([[v / a for v in row] for row in X] for X in g @ g.T) if a else ([], [])
+                square, open_ = ([[v / a for v in row] for row in X] for X in g @ g.T) if a and not summed else ([], [])
                 turned = Ball(added(F.centre, identity(n, a / 2)), F.radius)
                 rest, half = added(fall, square) if square else fall, [[v / 2 for v in row] for row in open_]
                 if not all(falls(turned, *Q, rest, half) for Q in (one, other)):
@@ -83,28 +91,31 @@ class Tubes:
     def drive(self, channel: Any) -> tuple[Ball, Ball, Ball]:
         """Return what 1 of a channel is beside z, adds to z', and to z at a tick."""
         (kind, k), (n, m, _, q) = channel, self.sizes
-        counts = {"disturbance": n, "noise": len(self.errors.plant.C[0]), "input": m, "moved": q, "ripple": m}
+        counts = {"disturbance": n, "noise": len(self.errors.plant.C[0]), "input": m, "moved": q, "nominal": q}
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
-        e, nu, Delta, rho = ([Fraction(0)] * size for size in self.sizes)
-        nothing = column([e, nu, Delta, rho])
+        d, (e, nu, Delta, rho) = self.errors.predicted, ([Fraction(0)] * size for size in self.sizes)
+        nothing = column([e, nu, *d * [Delta], *d * [rho]])
         if kind == "noise":
             M = [v for (v,) in self.errors.M.column(k).centre]
-            kick = [v for (v,) in (self.errors.K @ column([M[:n]])).centre]
-            return nothing, nothing, column([e, kick, M, rho])
-        if kind == "ripple":
-            return stacked(self.errors.plant.B.column(k), column([nu, Delta, rho])), nothing, nothing
+            kick = nu if self.errors.late else [v for (v,) in (self.errors.K @ column([M[:n]])).centre]
+            return nothing, nothing, column([e, kick, M, *(d - 1) * [Delta], *d * [rho]])
+        if kind == "nominal":
+            at, mean = self.errors.at_rows[k], self.errors.mean.column(self.errors.at_rows[k])
+            e[at] = Fraction(1)
+            nominal = [mean, column([nu, *d * [Delta]]), *d * [self.errors.R @ mean]]
+            return column([e, nu, *d * [Delta], *d * [rho]]), -reduce(stacked, nominal), nothing
         if kind == "disturbance":
             e[k], Delta[k] = Fraction(1), Fraction(-1)
         else:
             (nu if kind == "input" else rho)[k] = Fraction(1)
-        one = column([e, nu, Delta, rho])
+        one = column([e, nu, *d * [Delta], *d * [rho]])
         return (nothing, one, nothing) if kind == "disturbance" else (one, nothing, nothing)
 
     def row(self, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off z."""
-        n, m, N, q = self.sizes
+        n, m, N, _ = self.sizes
         tracked = self.errors.plant.tracked
         counts = {"output": len(tracked[0]), "state": n, "input": m, "estimate": N}
         if kind not in counts:
@@ -112,9 +123,17 @@ class Tubes:
         place(k, counts[kind])
         if kind == "output":
             row = tracked.row(k)
-            return stacked(row.T, column([[Fraction(0)] * (m + N + q)])).T
+            return stacked(row.T, column([[Fraction(0)] * (self.errors.order - n)])).T
         at = {"state": 0, "input": n, "estimate": n + m}[kind] + k
-        return Ball([[Fraction(int(j == at)) for j in range(n + m + N + q)]])
+        return Ball([[Fraction(int(j == at)) for j in range(self.errors.order)]])
+
+
+def holds(form: Form, g: Ball) -> bool:
+    """Decide g g^T < Q for all g in a ball."""
+    (Q, powers), (square, open_) = form, g @ g.T
+    left = added(square, Q, -1)
+    enlarge(left, [[v / 2 for v in row] for row in open_], powers)
+    return definite(left, sign=-1)
 
 
 def column(parts: list[list[Fraction]]) -> Ball:
