@@ -83,10 +83,8 @@ def test_a_contact_is_continuous_and_covers_the_plane() -> None:
     )
     assert len(found.system.A) == 4
     for s, v in np.random.default_rng(1).normal(size=(50, 2)):
-        inside = [
-            k for k, row in enumerate(part.signs) if all(side * g >= 0 for side, g in zip(row, (s, s + v, v - s)))
-        ]
-        assert inside
+        inside = np.flatnonzero((part.signs * [s, s + v, v - s] >= 0).all(axis=1))
+        assert len(inside)
         for k in inside:
             assert part.F[k][2] @ [s, v, 1.0] == pytest.approx(max(0.0, min(s + v, 2 * s)))
 
