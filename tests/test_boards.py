@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from benchmarks.boards import compleib, drivetrain, limited, modelica
+from benchmarks.boards import compleib, drivetrain, limited, modelica, sdplib
 from pwatrack import load_spec, plant
 
 
@@ -108,3 +108,27 @@ def test_a_reference_is_read_on_its_grid_after_events(tmp_path: Path) -> None:
     numbers, signals = modelica.reference(path, 0.1)
     assert numbers.tolist() == [0, 1, 2]
     assert signals["y"].tolist() == [1, 3, 4]
+
+
+def test_exact_bounds_of_a_small_program_are_on_both_sides_of_its_optimum(tmp_path: Path) -> None:
+    """Least x + y with [x, 1; 1, y] ⪰ 0: 2."""
+    path = tmp_path / "small.dat-s"
+    path.write_text("2\n1\n2\n1 1\n0 1 1 2 -1\n1 1 1 1 1\n2 1 2 2 1\n", encoding="utf-8")
+    found = sdplib.Sides(sdplib.read(path)).bounds()
+    assert found[0] is not None
+    assert found[1] is not None
+    assert 2 - 1e-6 < found[0] <= 2 <= found[1] < 2 + 1e-6
+
+
+def test_a_program_without_an_interior_has_no_bound_on_that_side(tmp_path: Path) -> None:
+    """Least x with diag(x, 0) ⪰ 0: no X is definite."""
+    path = tmp_path / "flat.dat-s"
+    path.write_text("1\n1\n2\n1\n1 1 1 1 1\n", encoding="utf-8")
+    assert sdplib.Sides(sdplib.read(path)).bounds()[1] is None
+
+
+def test_a_file_that_is_no_program_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "bad.dat-s"
+    path.write_text("2\n1\n2\n1\n1 1 1 1 1\n", encoding="utf-8")
+    with pytest.raises(ValueError, match="bad.dat-s: 2 variables and 1 blocks, but 1 and 1 are given"):
+        sdplib.read(path)

@@ -148,6 +148,8 @@ class Sides:
             found = solvers.sdp(self.c, Gs=self.G, hs=self.h, options=options)
         except (ArithmeticError, ValueError):  # it got stuck in the last of them
             return self.after(iterations - 1)
+        if found["x"] is None or found["zs"] is None:  # it says that there is no x, or that cᵀx has no bound
+            return Iterate(found["status"], 0, np.nan, np.zeros(len(self.c)), np.zeros(0))
         Y = np.zeros(int(self.program.starts[-1]))
         for block, (n, Z) in enumerate(zip(self.program.blocks, found["zs"], strict=True)):
             whole = np.array(Z).reshape(n, n, order="F")
