@@ -130,5 +130,5 @@ def test_a_program_without_an_interior_has_no_bound_on_that_side(tmp_path: Path)
 def test_a_file_that_is_no_program_is_refused_with_its_name(tmp_path: Path) -> None:
     path = tmp_path / "bad.dat-s"
     path.write_text("2\n1\n2\n1\n1 1 1 1 1\n", encoding="utf-8")
-    with pytest.raises(ValueError, match="bad.dat-s: 2 variables and 1 blocks, but 1 and 1 are given"):
+    with pytest.raises(ValueError, match=r"bad\.dat-s: 2 variables and 1 blocks, but 1 and 1 are given"):
         sdplib.read(path)

@@ -34,6 +34,7 @@ from benchmarks.boards.limited import machine, run, table
 from pwatrack.arrays import EPS, Array
 from pwatrack.rational import is_positive_definite, rational
 
+FURTHER = (0.0, 1.0, 10.0)  # that an x is moved inside, beside the X that an iterate should have
 NEARER = 3  # times that Y is moved before it is moved exactly
 MOST, NEAR = 40, 1e-10  # iterations; tolerances of a solver, which often ends before it is that near
 SHARES = (0.0, *(10.0 ** np.arange(-4, 0)), 0.25, 0.5, 1.0)  # of the way from a last iterate to one that is inside
@@ -67,13 +68,14 @@ class Program:
 
 @dataclass(frozen=True)
 class Iterate:
-    """Where a solver is: its word for it, its number, cᵀx, x and Y as a vector of upper triangles."""
+    """Where a solver is: its word for it, its number, cᵀx, x, and Y and S as vectors of upper triangles."""
 
     word: str
     number: int
     value: float
     x: Array
     Y: Array
+    S: Array
 
 
 def read(path: Path) -> Program:
@@ -149,26 +151,33 @@ class Sides:
         except (ArithmeticError, ValueError):  # it got stuck in the last of them
             return self.after(iterations - 1)
         if found["x"] is None or found["zs"] is None:  # it says that there is no x, or that cᵀx has no bound
-            return Iterate(found["status"], 0, np.nan, np.zeros(len(self.c)), np.zeros(0))
+            return Iterate(found["status"], 0, np.nan, np.zeros(len(self.c)), np.zeros(0), np.zeros(0))
+        Y, S = (self.upper(found[name]) for name in ("zs", "ss"))
+        value = float(found["primal objective"] or 0.0)
+        return Iterate(found["status"], int(found["iterations"]), value, np.array(found["x"]).ravel(), Y, S)
+
+    def upper(self, blocks: Sequence[Any]) -> Array:
+        """Return lower triangles of matrices of CVXOPT as a vector of upper ones."""
         Y = np.zeros(int(self.program.starts[-1]))
-        for block, (n, Z) in enumerate(zip(self.program.blocks, found["zs"], strict=True)):
+        for block, (n, Z) in enumerate(zip(self.program.blocks, blocks, strict=True)):
             whole = np.array(Z).reshape(n, n, order="F")
             whole = np.tril(whole) + np.tril(whole, -1).T
             for j in range(n):
                 Y[self.program.place(block, 0, j) : self.program.place(block, j, j) + 1] = whole[: j + 1, j]
-        value = float(found["primal objective"] or 0.0)
-        return Iterate(found["status"], int(found["iterations"]), value, np.array(found["x"]).ravel(), Y)
+        return Y
 
     def bounds(self) -> tuple[Fraction | None, Fraction | None]:
         """Return exact bounds from below and above, from the last iterates that are inside and those after them."""
-        below = above = None
+        below = above = moved = None
         for number in range(self.last.number, 0, -1):
             at = self.last if number == self.last.number else self.after(number)
             below = self.nearer(at.Y, self.last.Y, self.below) if below is None else below
             above = self.nearer(at.x, self.last.x, self.above) if above is None else above
+            for further in FURTHER if moved is None and above is None else ():
+                moved = moved or self.nearer(self.inward(at, further), self.last.x, self.above)
             if below is not None and above is not None:
                 break
-        return below, above
+        return below, min((value for value in (above, moved) if value is not None), default=None)
 
     def nearer(self, inside: Array, best: Array, bound: Callable[[Array], Fraction | None]) -> Fraction | None:
         """Return the bound of the point nearest to the best one, on the way there from one inside, if that has one."""
@@ -177,6 +186,18 @@ class Sides:
             nearer = (bound(best + share * (inside - best)) for share in SHARES)
             found = next((value for value in nearer if value is not None), found)
         return found
+
+    def inward(self, at: "Iterate", further: float) -> Array:
+        """Return an x near an iterate whose X is as nearly (1 + further) S as can be, S what it should be.
+
+        X of the iterate itself is S but for a residual, which may be more than the least eigenvalue of S.
+        """
+        roots = [np.linalg.pinv(root) for root in self.roots(at.S)]
+        unit, wanted = np.sqrt(self.weights), (1 + further) * at.S - at.x @ self.plain - self.upper(self.h)
+        A = self.turned(self.plain, roots) * unit
+        scale = 1 / np.maximum(np.linalg.norm(A, axis=1), 1e-300)
+        step = np.linalg.lstsq((scale[:, None] * A).T, self.turned(wanted[None], roots)[0] * unit, rcond=EPS)[0]
+        return np.asarray(at.x + scale * step)
 
     def above(self, x: Array) -> Fraction | None:
         """Return cᵀx if X ≻ 0, else None."""
