@@ -192,7 +192,7 @@ class Sides:
 
         X of the iterate itself is S but for a residual, which may be more than the least eigenvalue of S.
         """
-        roots = [np.linalg.pinv(root) for root in self.roots(at.S)]
+        roots = [np.asarray(np.linalg.pinv(root), dtype=np.float64) for root in self.roots(at.S)]
         unit, wanted = np.sqrt(self.weights), (1 + further) * at.S - at.x @ self.plain - self.upper(self.h)
         A = self.turned(self.plain, roots) * unit
         scale = 1 / np.maximum(np.linalg.norm(A, axis=1), 1e-300)
