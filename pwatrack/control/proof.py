@@ -15,13 +15,13 @@ from pwatrack.control.task import Task
 from pwatrack.errors import Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Certificate, Proof, prove_exactly
+from pwatrack.lmi.pair import MANY_STATES
 from pwatrack.lmi.polynomial import AnyProof, Found, PolynomialLyapunov, exactly
 from pwatrack.lmi.role import CONTROLLER, GENERATOR, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import floats
 
-_PROGRAM = 64  # states up to which the program of the least overshoot takes seconds; of more, what a `Pair` gives
 _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturbances are amplified, is least
 
 
@@ -80,7 +80,7 @@ def _small_overshoot(
 ) -> Proof | None:
     """Return a proof of a small overshoot for the M_i, each different, if there is one."""
     rate = _KEPT * certificate.rate
-    if certificate.M.shape[1] > _PROGRAM and len(M) == 2:
+    if certificate.M.shape[1] >= MANY_STATES and len(M) == 2:
         apart = floats(M[1].centre - M[0].centre)
         P = well_conditioned(stack(M), rate, apart=apart, sizes=sizes)
         return None if P is None else prove_exactly(role, M, P, _KEPT * rate)
