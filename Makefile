@@ -214,6 +214,15 @@ control-bench: $(DEV) ## run the loop of every spec in python-control, and compa
 step-bench: $(DEV) ## time a step of exported C against a hand-written loop and python-control
 	@$(BIN)/python -m benchmarks.step
 
+FROM ?= boards
+
+.PHONY: boards
+boards: $(DEV) ## plants and programs of others, from files in FROM=folder; tables in runs/boards (half an hour)
+	@$(BIN)/python -m benchmarks.boards.drivetrain
+	@$(BIN)/python -m benchmarks.boards.modelica $(FROM)/msl_reference
+	@$(BIN)/python -m benchmarks.boards.sdplib $(FROM)/sdplib --vsdp $(FROM)/vsdp/SDPLIB_SYS1.csv
+	@$(BIN)/python -m benchmarks.boards.compleib $(FROM)/compleib
+
 .PHONY: lint
 lint: $(DEV) ## ruff: lint and format
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -20,6 +20,7 @@ Rational = Any  # flint.fmpq_mat, which comes without types
 
 _CLEARLY = 1e-12  # least eigenvalue, where the diagonal is 1, at which few bits will do
 _MOST_BITS = 8192  # precision at which the balls give up
+_QUOTIENT_BITS = 512  # of quotients that only hint at a number: a condition of 1e40 leaves most of them
 
 
 @contextmanager
@@ -89,6 +90,27 @@ def floats(X: Rational) -> Array:
     """Return the nearest doubles."""
     entries = [int(v.p) / int(v.q) if v else 0.0 for v in X.entries()]  # whole numbers divide correctly rounded
     return np.array(entries, dtype=np.float64).reshape(X.nrows(), X.ncols())
+
+
+def solved(A: Rational, B: Rational) -> Any:
+    """Return about A⁻¹ B: in balls, as exact quotients of many rows would take minutes; exact where balls do not do.
+
+    Example:
+        >>> near(solved(decimals(np.array([[3.0]])), decimals(np.array([[1.0]])))).tolist()
+        [[0.3333333333333333]]
+    """
+    try:
+        with working_bits(_QUOTIENT_BITS):
+            return flint.arb_mat(A).solve(flint.arb_mat(B))
+    except ZeroDivisionError:
+        return A.inv() * B
+
+
+def near(X: Any) -> Array:
+    """Return about the middle of a matrix of balls, or of rationals, as doubles."""
+    if isinstance(X, flint.fmpq_mat):
+        return floats(X)
+    return np.array([float(v.mid()) for v in X.entries()]).reshape(X.nrows(), X.ncols())
 
 
 def stacked(blocks: Sequence[Rational]) -> Rational:

@@ -92,7 +92,7 @@ INVALID = [
     ("states: [z, v]", "states: [z, z]", 7, "'z' stands in the list twice"),
     ("states: [z, v]", "states: z", 7, "a list is expected"),
     ("states: [z, v]", "states: []", 7, "at least one name is expected"),
-    ("states: [z, v]", f"states: [{', '.join(f'z{k}' for k in range(101))}]", 7, "101 entries, at most 100 are read"),
+    ("states: [z, v]", f"states: [{', '.join(f'z{k}' for k in range(201))}]", 7, "201 entries, at most 200 are read"),
     ("inputs: [u]", f"inputs: [{', '.join(f'u{k}' for k in range(101))}]", 8, "at most 100 are read"),
     ("inputs: [u]", "inputs: [u, lambda]", 8, "has a meaning of its own"),
     ("outputs: [y]", "outputs: [v]", 9, "declared under states and under outputs"),

@@ -46,7 +46,7 @@ from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.peak_gain import PeakGain, peak_gains
 from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.pwa import PWASystem
-from pwatrack.rational import floats, identity
+from pwatrack.rational import floats, identity, near, solved
 
 MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
 _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
@@ -279,7 +279,7 @@ def of_loop(loop: Loop, e: BallMatrix, delta: BallMatrix) -> BallMatrix:
 def _inner(proof: Proof, *, invert: bool) -> Inner:
     """Return the Q of a proof: (8) is stated for it, (9) for its inverse."""
     P = proof.P
-    return Inner.proved(floats(P.inv() if invert else P), proof.rate)
+    return Inner.proved(near(solved(P, identity(P.nrows()))) if invert else floats(P), proof.rate)
 
 
 def _blocks(M: Mapping[Loop, list[BallMatrix]], inners: Mapping[Loop, list[Inner]], BK: Array) -> list[Inner]:

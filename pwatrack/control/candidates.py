@@ -11,6 +11,7 @@ from pwatrack.arrays import EPS, Array
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
+from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import (
     Solution,
@@ -160,6 +161,13 @@ class Candidates:
         """Yield the gain that minimises the cost of the rows (k, n) of x, summed over initial states (n, n), if any."""
         A, B = self.at.system(self.A) + shift, self.at.input(self.task.B)
         root = self.at.rows(rows)
+        pair = Pair.of(A) if len(B) >= MANY_STATES else None
+        if pair is not None:
+            X = pair.regulator(B, root.T @ root, R, self.at.states(initial))
+            if X is not None:
+                K = self.at.gain(-np.asarray(np.linalg.solve(R, B.T @ X), dtype=np.float64))
+                yield Candidate(K=short(K), P=self.at.matrix(np.asarray(np.linalg.inv(X), dtype=np.float64)))
+            return
         at = self.at.of_regulator(A, B, root.T @ root, R)
         B = at.input(self.task.B)
         inequality = quadratic_cost(at.system(self.A) + shift, B, at.rows(rows), R)

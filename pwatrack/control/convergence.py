@@ -1,6 +1,6 @@
 """Theorem 1: convergence from the common Lyapunov inequality (7), with the best decay rate."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,6 +12,7 @@ from pwatrack.errors import Infeasible, Problem, Remedy, Subject, Undecided, lis
 from pwatrack.lmi.exact import Certificate, of_proof, prove, prove_exactly
 from pwatrack.lmi.inequality import PLANT, Role, lyapunov
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute
+from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.polynomial import Found, PolynomialLyapunov, best_polynomial, degrees, prove_polynomial
 from pwatrack.lmi.presolve import Coordinates, Precise, distinct, extreme, square
 from pwatrack.lmi.program import Solution, largest_margin, least_condition
@@ -40,8 +41,13 @@ def best_certificate(
     rate is too fast, the interval between it and the best one is halved.
 
     M (l, n, n) has all eigenvalues in the open left half plane; `start` is a P (n, n) that may prove something. Numbers
-    are counted in sizes of the states, (n,), by default those that balance M.
+    are counted in sizes of the states, (n,), by default those that balance M. Of many states, where the corners are a
+    `Pair`, Riccati equations give P.
     """
+    for P in () if M.shape[1] < MANY_STATES else pair_certificates(M, start=start, sizes=sizes):
+        proof = prove(M, P)
+        if proof is not None:
+            return proof
     search, points = _Rates(M, start, sizes), list[tuple[float, float]]()
     trial, ceiling = 0.0 if search.best is None else search.best.rate, -float(np.linalg.eigvals(M).real.max())
     for step in range(_STEPS):
@@ -64,6 +70,19 @@ def best_certificate(
         if trial >= ceiling:
             trial = (best.rate + ceiling) / 2
     return search.best
+
+
+def pair_certificates(
+    M: Array, *, moved: Array | None = None, start: Array | None = None, sizes: Array | None = None
+) -> Iterator[Array]:
+    """Yield P (n, n) that may prove nearly the largest rate, where the corners of these M (l, n, n) are a `Pair`.
+
+    With `moved` (n, n), a product with a gain, it is about M + moved.
+    """
+    corners, by = extreme(M), np.zeros(M.shape[1:]) if moved is None else moved
+    for at in (_near(M + by, start, sizes), _near(M + by, None, None)):  # where one is ill-conditioned, the other
+        pair = Pair.of(at.system(corners), at.system(by))
+        yield from () if pair is None else (at.matrix(P) for P in pair.certificates())
 
 
 def first_certificate(M: Array) -> Certificate | None:
@@ -149,6 +168,17 @@ def least_overshoot_certificate(
     except np.linalg.LinAlgError:  # coordinates that are singular to working precision
         return None
     return None if candidate is None else prove(M, at.matrix(candidate.P))
+
+
+def well_conditioned(M: Array, rate: float, *, apart: Array, sizes: Array | None = None) -> Array | None:
+    """Return a P (n, n) for M_i P + P M_iᵀ + 2 rate P ⪯ 0 of small condition in sizes, where M (l, n, n) is a `Pair`.
+
+    What the M_i differ by, (n, n), is given apart.
+    """
+    at = Coordinates.sized(M, np.ones(M.shape[1]) if sizes is None else sizes)
+    pair = Pair.of(at.system(np.stack([-apart / 2, apart / 2])), at.system(M.mean(axis=0)))
+    P = None if pair is None else pair.well_conditioned(rate / at.speed)
+    return None if P is None else at.matrix(P)
 
 
 def _near(M: Array, start: Array | None, sizes: Array | None) -> Coordinates:

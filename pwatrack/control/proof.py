@@ -5,19 +5,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, different, each
-from pwatrack.control.convergence import least_overshoot_certificate
+from pwatrack.ball_matrix import BallMatrix, different, each, stack
+from pwatrack.control.convergence import least_overshoot_certificate, well_conditioned
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.refusal import other_solver
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.task import Task
 from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.lmi.dichotomy import Dichotomy
-from pwatrack.lmi.exact import prove_exactly
+from pwatrack.lmi.exact import Certificate, Proof, prove_exactly
 from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, Role
+from pwatrack.lmi.pair import MANY_STATES
 from pwatrack.lmi.polynomial import AnyProof, Found, PolynomialLyapunov, exactly
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
+from pwatrack.rational import floats
 
 _KEPT = 0.9  # of the best rate: about here overshoot / rate, by which disturbances are amplified, is least
 
@@ -68,6 +70,18 @@ def prove_inequality(
         )
     if isinstance(certificate, PolynomialLyapunov):
         return [best]
-    found = least_overshoot_certificate(certificate.M, _KEPT * certificate.rate, sizes=sizes, start=certificate.P)
-    second = None if found is None else prove_exactly(role, M, found.P, _KEPT * found.rate)
+    second = _small_overshoot(role, M, certificate, sizes)
     return [best] if second is None else [best, second]
+
+
+def _small_overshoot(
+    role: Role, M: Sequence[BallMatrix], certificate: Certificate, sizes: Array | None
+) -> Proof | None:
+    """Return a proof of a small overshoot for the M_i, each different, if there is one."""
+    rate = _KEPT * certificate.rate
+    if certificate.M.shape[1] >= MANY_STATES and len(M) == 2:
+        apart = floats(M[1].centre - M[0].centre)
+        P = well_conditioned(stack(M), rate, apart=apart, sizes=sizes)
+        return None if P is None else prove_exactly(role, M, P, _KEPT * rate)
+    found = least_overshoot_certificate(certificate.M, rate, sizes=sizes, start=certificate.P)
+    return None if found is None else prove_exactly(role, M, found.P, _KEPT * found.rate)

@@ -11,15 +11,21 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different, places
 from pwatrack.control import refusal
 from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
-from pwatrack.control.convergence import best_certificate, precise_certificate, prove_convergence
+from pwatrack.control.convergence import (
+    best_certificate,
+    pair_certificates,
+    precise_certificate,
+    prove_convergence,
+)
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task, reaches
 from pwatrack.errors import ProblemPart
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.exact import Certificate
+from pwatrack.lmi.exact import Certificate, prove
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
+from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.polynomial import Found
 from pwatrack.lmi.presolve import Precise, corners, square
 from pwatrack.model.pwa import PWASystem
@@ -176,6 +182,11 @@ class Search:
             self._refutations[rate] = refute(self.task.A, self.task.B, rate=rate, exact=self.task.centres)
         return self._refutations[rate]
 
+    def _impossible(self, rate: float) -> bool:
+        """Say whether a hint that no gain reaches a rate (1/s) leads to a proof."""
+        hint = seems_impossible(self.candidates.A, self.task.B, rate=rate)
+        return hint and self.refuted(rate) is not None
+
     def first(self, candidates: Iterable[Candidate], rate: float, *, soon: bool = False) -> Proved | None:
         """Return the first candidate that is proved to reach a rate, with the proof of the best one."""
         proofs = (self.proved(candidate, rate, soon=soon) for candidate in candidates)
@@ -186,23 +197,42 @@ class Search:
         closed = self.task.unlike(candidate.K)
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
+        if self._as_pair:
+            return self._proved_as_pair(candidate, rate)
         certificate = best_certificate(closed, start=candidate.P, sizes=self.task.scale.state, soon=soon)
         if certificate is None and candidate.P is not None:
             certificate = self.task.reached_exactly(candidate.K, candidate.P)
         return (candidate.K, certificate) if certificate is not None and reaches(certificate, rate) else None
 
+    @cached_property
+    def _as_pair(self) -> bool:
+        """Whether there are many states, and corners that are a `Pair`: there no program has to be solved."""
+        return len(self.task.B) >= MANY_STATES and Pair.of(self.candidates.A) is not None
+
+    def _proved_as_pair(self, candidate: Candidate, rate: float) -> Proved | None:
+        """Prove the best rate of a candidate by Riccati equations, in exact numbers where doubles do not do."""
+        K, open_loop, closed = candidate.K, self.task.unlike(np.zeros_like(candidate.K)), self.task.unlike(candidate.K)
+        moved, sizes = self.task.B @ K, self.task.scale.state
+        for P in pair_certificates(open_loop, moved=moved, start=candidate.P, sizes=sizes):
+            certificate = prove(closed, P) or self.task.reached_exactly(K, P)
+            if certificate is not None and reaches(certificate, rate):
+                return K, certificate
+        return None
+
     def regulator(self, rate: float) -> Proved | None:
         """Return the gain of the least cost, or of the largest margin where that has no proof."""
-        if seems_impossible(self.candidates.A, self.task.B, rate=rate) and self.refuted(rate):
+        if not self._as_pair and self._impossible(rate):
             return None
         costs = self.candidates.regulator(rate)
         found = self.first(islice(costs, 1), rate)
+        if found is None and self._as_pair and self._impossible(rate):
+            return None
         scale = self.task.scale
         precise = self._of_mean(found, rate, square(scale.state).inv(), square(scale.input).inv())
         if precise is not None:
             found = self._proved_precisely(*precise, rate) or found or self._turned(precise[0], rate)
-        if found is not None:
-            return found
+        if found is not None or self._as_pair:
+            return found or self.first(costs, rate)
         for candidate in self.candidates.largest_margins(rate):
             if candidate.P is not None and self.task.reached(candidate.K, candidate.P, rate):
                 return self.proved(candidate, rate)

@@ -20,8 +20,10 @@ from pwatrack.rational import (
     fraction_of,
     identity,
     is_positive_definite,
+    near,
     number,
     scalar,
+    solved,
 )
 
 _LEAST = 1e-15  # of the largest eigenvalue of P: below that the least one is rounding
@@ -182,7 +184,7 @@ def _estimate(size: Rational, Q: Rational) -> float:
         largest = float(eigh(S / d[:, None] / d, W / d[:, None] / d, eigvals_only=True)[-1])
     except np.linalg.LinAlgError:  # too ill-conditioned for floats: the trace is above it, at most n times
         largest = 0.0
-    trace = float(np.trace(floats(Q.inv() * size)))
+    trace = float(np.trace(near(solved(Q, size))))
     return float(np.sqrt(largest if trace / (2 * n) <= largest <= trace else trace))
 
 
