@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from rich.console import Console
 
-from pwatrack.errors import PwatrackError
+from pwatrack.errors import CheckFailed, PwatrackError
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
@@ -42,11 +42,14 @@ def design(seed: int) -> ClosedLoop | None:
 
 
 def growth(loop: ClosedLoop, sampling: Sampling, seed: int, samples: int = 4000) -> float:
-    """Return the largest error of the last eighth over the largest before."""
+    """Return the largest error of the last eighth over the largest before; NaN where a run has too many crossings."""
     run, x_0 = closed_loop(loop.controller, Conditions(sampling=sampling)), np.random.default_rng(seed)
     n, p, end = len(loop.plant.states), len(loop.controller.trajectory.names), samples * sampling.sample_time
     start = run.start(plant=x_0.normal(size=n), observer=np.zeros(n), generator=np.zeros(p))
-    trace = simulate_flow(run.flow, start, duration=end, sample_time=sampling.sample_time, resets=run.resets(end))
+    try:
+        trace = simulate_flow(run.flow, start, duration=end, sample_time=sampling.sample_time, resets=run.resets(end))
+    except CheckFailed:
+        return np.nan
     response = run.response(trace)
     error = np.abs(response.x - response.x_d).max(axis=1)
     return float(error[-samples // 8 :].max() / error[: -samples // 8].max())
@@ -67,8 +70,10 @@ def main(count: int) -> None:
                     found[name].append(growth(loop, replace(sampling, sample_time=time), seed))
     console = Console()
     for kind, growths in found.items():
-        stable = sum(value <= 1.05 for value in growths)
-        console.print(f"{kind:38} {stable} of {len(growths)} loops stable; largest growth {max(growths):.4f}")
+        known = [value for value in growths if not np.isnan(value)]
+        stable, left_out = sum(value <= 1.05 for value in known), len(growths) - len(known)
+        said = f"{stable} of {len(known)} loops stable; largest growth {max(known, default=0.0):.4f}"
+        console.print(f"{kind:38} {said}{f'; {left_out} with too many crossings to run' if left_out else ''}")
 
 
 if __name__ == "__main__":
