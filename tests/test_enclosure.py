@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
+from pwatrack.simulation import enclosure
 from pwatrack.simulation.enclosure import CLOSE, Range, Rows, Segments, enclosed
 from pwatrack.simulation.flow import Flow, Mode, SwitchedPart
 from pwatrack.simulation.propagate import StateResets, simulate_flow, trace_blocks
@@ -127,3 +128,18 @@ def test_what_is_seen_since_a_sample_is_the_end_of_a_run() -> None:
     blocks = walked(flow, np.array([1.0, 0, 1]), 5.0, 50, [])
     late = enclosed([block.since(blocks[-1].t[-1] - 0.5) for block in blocks], always(np.eye(3)[:2]), norm=True)
     assert late.high[0] == pytest.approx(np.exp(-4.5), rel=2e-6)
+
+
+def test_pieces_that_are_bounded_in_parts_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of very many states not all pieces fit into memory at once."""
+    F = np.array([[0.0, 1.0], [-4.0, -0.1]])
+    t = np.linspace(0.0, 9.9, 100)
+    zeta = np.array([expm(F * at) @ [1.0, 0.0] for at in t])
+    number = np.zeros(100, dtype=np.int64)
+    segments = Segments(modes=((0,),), F=F[None], number=number, t=t, zeta=zeta, length=np.full(100, 0.1))
+    whole = enclosed([segments], lambda _: np.eye(2))
+    monkeypatch.setattr(enclosure, "_TOGETHER", 100)
+    parts = enclosed([segments], lambda _: np.eye(2))
+    assert parts.high == pytest.approx(whole.high, rel=2e-7)
+    assert parts.low == pytest.approx(whole.low, rel=2e-7)
+    assert (parts.high >= parts.inner[:, 1]).all()

@@ -13,7 +13,7 @@ Only pieces whose bound is above the largest value that is surely attained, by m
 split, at a length s 2ᵈ where e^{Fs} is known (branch and bound); all pieces of a mode at once.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import comb, factorial
 from typing import Any, NamedTuple
@@ -33,6 +33,7 @@ _ONE_LOOK = 6  # the degree where pieces are short, and none is split
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
 MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
+_TOGETHER = 20_000_000  # numbers of pieces that are bounded together: 160 MB, a few times
 _NOISE = 8  # times what rounding is: bounds that are closer cannot be told apart
 
 Rows = Callable[[Mode], Array]
@@ -245,7 +246,7 @@ class Enclosing:
             self._attain(self._sides(pieces.zeta @ table.rows), pieces.t)
             queue.append((table, pieces))
         while queue:
-            halves = ((table, self._narrowed(table, pieces)) for table, pieces in queue)
+            halves = ((table, self._narrowed(table, part)) for table, pieces in queue for part in _parts(table, pieces))
             queue = [(table, pieces) for table, pieces in halves if pieces is not None]
         values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
         near = (values >= self._least).any(axis=1)
@@ -349,6 +350,14 @@ class Enclosing:
                 only = np.full_like(sides, -np.inf)
                 only[:, k] = sides[:, k]
                 self._attain(only, t + tau[:, k % off.shape[1]] * length)
+
+
+def _parts(table: _Tables, pieces: _Pieces) -> Iterator[_Pieces]:
+    """Yield pieces, so many at a time as can be bounded together."""
+    (order, q), count = table.rows.shape, len(pieces.t)
+    most = max(_TOGETHER // (order + (_DEGREE + 2) * q), 1)
+    for k in range(0, count, most):
+        yield _Pieces(*(part[k : k + most] for part in pieces)) if count > most else pieces
 
 
 def _halved(turns: Transitions, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
