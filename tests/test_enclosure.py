@@ -138,7 +138,7 @@ def test_pieces_that_are_bounded_in_parts_say_the_same(monkeypatch: pytest.Monke
     number = np.zeros(100, dtype=np.int64)
     segments = Segments(modes=((0,),), F=F[None], number=number, t=t, zeta=zeta, length=np.full(100, 0.1))
     whole = enclosed([segments], lambda _: np.eye(2))
-    monkeypatch.setattr(enclosure, "_TOGETHER", 100)
+    monkeypatch.setattr(enclosure, "TOGETHER", 100)
     parts = enclosed([segments], lambda _: np.eye(2))
     assert parts.high == pytest.approx(whole.high, rel=2e-7)
     assert parts.low == pytest.approx(whole.low, rel=2e-7)

@@ -503,8 +503,8 @@ def test_limits_in_other_units_give_the_same_controller(name: str, tmp_path: Pat
     assert found[0].claims_of(NoSaturation)
     assert found[0].claim(NoSaturation).promises
     assert found[1].design.K.shape == found[0].design.K.shape
-    # A gain that is a solver's optimum is the same to the solver's gap.
-    assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-5
+    # A cost is flat at its least: where a solver is off that by 1e-8 of it, the gain may be off by 1e-4 and more.
+    assert apart(found[0].design, found[1].design, found[0].sizes, units) < 1e-3
     scales = [
         {p.starts.kind: p.scale(left) for p in c.claim(NoSaturation).promises}
         for c in found

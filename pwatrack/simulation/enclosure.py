@@ -33,7 +33,7 @@ _ONE_LOOK = 6  # the degree where pieces are short, and none is split
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
 MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
-_TOGETHER = 20_000_000  # numbers of pieces that are bounded together: 160 MB, a few times
+TOGETHER = 20_000_000  # numbers of pieces that are bounded together: 160 MB, a few times
 _NOISE = 8  # times what rounding is: bounds that are closer cannot be told apart
 
 Rows = Callable[[Mode], Array]
@@ -355,7 +355,7 @@ class Enclosing:
 def _parts(table: _Tables, pieces: _Pieces) -> Iterator[_Pieces]:
     """Yield pieces, so many at a time as can be bounded together."""
     (order, q), count = table.rows.shape, len(pieces.t)
-    most = max(_TOGETHER // (order + (_DEGREE + 2) * q), 1)
+    most = max(TOGETHER // (order + (_DEGREE + 2) * q), 1)
     for k in range(0, count, most):
         yield _Pieces(*(part[k : k + most] for part in pieces)) if count > most else pieces
 
