@@ -125,7 +125,7 @@ class SignalBounds(Claim):
             if all(form in each[channel] for channel in acting):
                 sizes = [each[channel][form] * size for channel, size in acting.items()]
                 total[form] = sum(sizes) * OVER_POWERS
-        return controller.with_left(total)
+        return controller.with_left({form: size for form, size in total.items() if np.isfinite(size)})
 
     def from_sizes(self, controller: ProvedController) -> dict[Form, float]:
         """Return the most that each signal is at any time from a start with all errors of x, x̂ and loads in sizes."""

@@ -104,8 +104,11 @@ class KeptLimits(Claim):
     def _kept(self, words: Words, controller: ProvedController) -> Iterator[str]:
         """Yield from which starts all limits are kept, and which of them binds."""
         left, signals = self.left, self.signals
-        kept = "these limits are kept" + (" for good" if signals.room.ever else " in this run")
-        acting = ", with what acts in this file," if signals.acting else " while nothing disturbs"
+        kinds = {kind for kind, _ in signals.acting}
+        lasts = signals.room.ever and "disturbance" not in kinds  # more may act after the run
+        kept = f"these limits are kept {'for good' if lasts else 'in this run'}"
+        noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
+        acting = f", with what acts in this file{noise}," if kinds else " while nothing disturbs"
         for promise in self.promises if left is not None else ():
             assert left is not None
             starts = promise.said(left, loads=controller.plant.loads is not None)

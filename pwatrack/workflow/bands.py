@@ -13,14 +13,13 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.real import Box, inside
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.simulation.enclosure import Enclosing, Segments
+from pwatrack.simulation.desired import along
+from pwatrack.simulation.enclosure import Enclosing, Segments, enclosed
 from pwatrack.simulation.flow import Mode
-from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.spec import Spec
 
 SIGMAS = 3.0  # of normal noise: 1 value in 370 is larger
-_MOST_SAMPLES = 100_000  # at which a disturbance is looked at
 _MOST_TOGETHER = 200_000  # rows times pieces: 100 MB while they are bounded
 
 
@@ -55,8 +54,8 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
 def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
     """Return how large the noise of each sensor and each disturbance of a file is; what loads make up is none.
 
-    Normal noise counts three standard deviations, steps of a sensor half of one, and disturbances their largest size at
-    the samples of the run.
+    Normal noise counts three standard deviations, steps of a sensor half of one, and disturbances their largest size in
+    the run, enclosed.
     """
     conditions, loads, acting = spec.scenario.conditions, controller.plant.loads, dict[Channel, float]()
     noise, quanta, disturbance = conditions.noise, conditions.quanta, conditions.disturbance
@@ -64,9 +63,10 @@ def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
     sensors = sensors if quanta is None else sensors + quanta.outputs / 2
     acting |= {("noise", k): float(sensors[k]) for k in np.flatnonzero(sensors).tolist()}
     if disturbance is not None and not (loads is not None and loads.are(disturbance)):
-        samples = min(sample_count(spec.scenario.duration, spec.scenario.sample_time), _MOST_SAMPLES)
-        sizes = np.abs(disturbance.states(np.linspace(0.0, spec.scenario.duration, samples)) @ disturbance.Q.T)
-        acting |= {("disturbance", k): float(sizes[:, k].max()) for k in np.flatnonzero(sizes.any(axis=0)).tolist()}
+        rows = np.hstack([disturbance.Q, np.zeros((len(disturbance.Q), 1))])
+        found = enclosed([along(disturbance, spec.scenario.duration)], lambda _: rows)
+        sizes = np.maximum(np.abs(found.low), np.abs(found.high))
+        acting |= {("disturbance", k): float(sizes[k]) for k in np.flatnonzero(sizes).tolist()}
     return acting
 
 
