@@ -2,9 +2,9 @@
 
     make step-bench [STEPS=200000]
 
-The plant is a chain of four masses, eight states, with backlash: three cells. All three run the same controller on the
-same measurements; before anything is timed their inputs must agree. Each C program times the same steps several
-times, in turns with the other, and the best time of each counts.
+The plant is a chain of four masses, eight states, with backlash: three cells. All three run the same controller, that
+of `method: emulated`, on the same measurements; before anything is timed their inputs must agree. Each C program times
+the same steps several times, in turns with the other, and the best time of each counts.
 """
 
 import subprocess
@@ -44,7 +44,7 @@ system:
   B: [[0], [1], [0], [0], [0], [0], [0], [0]]
   C: [[1, 0, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0, 1, 0]]
 reference: {output: 0.1*sin(2*t)}
-simulation: {duration: 10, sample_time: 0.01, controller: {sample_time: 0.001}}
+simulation: {duration: 10, sample_time: 0.01, controller: {sample_time: 0.001, method: emulated}}
 """
 
 TIMED = """

