@@ -4,6 +4,7 @@
     python -m benchmarks.export backlash tanks --random 0          (specs whose names have one of these in them)
     python -m benchmarks.export --after two_mass_machine           (what comes behind that one)
     python -m benchmarks.export machine --random 0 --fmu --steps 1000000
+    python -m benchmarks.export machine --random 0 --odd           (NaN, ±Inf, denormals, −0 among what is measured)
 
 Each is simulated for so many samples of its controller, or until its reference ends; then what was measured begins
 again. The stored controller reads that in Python, in double and in single floats, and so does C: compiled with all
@@ -54,6 +55,7 @@ from tests.misra import checked, listed
 
 LEVELS = ("-O0", "-O2", "-O3", "-O1 -fsanitize=address,undefined -fno-sanitize-recover=all")
 MEMORY = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")
+ODD = (np.nan, -np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e-310, -0.0, 1.7e308, -1.7e308)  # that no sensor gives
 SHORT = 20  # steps of the vector that goes with the code
 
 ALL_STEPS = """
@@ -218,9 +220,19 @@ def fmu_bits(code: Source, subject: Subject, expected: Any) -> int:
     return bits
 
 
-def judged(name: str, spec: Spec, steps: int, fmu: bool) -> Row:
-    """Return what is found of a spec."""
+def with_odd(y: Array) -> Array:
+    """Return what is measured, (steps, q), with one entry in twenty that no sensor should give."""
+    random, found = np.random.default_rng(25), y.copy()
+    chosen = random.random(y.shape) < 0.05
+    chosen[:SHORT] = False  # they are written into a file of their own
+    found[chosen] = random.choice(ODD, int(chosen.sum()))
+    return found
+
+
+def judged(name: str, spec: Spec, steps: int, fmu: bool, odd: bool) -> Row:
+    """Return what is found of a spec; where odd numbers are measured it is not its simulation that is compared."""
     started, of = time.perf_counter(), subject(spec, steps)
+    of = replace(of, y=with_odd(of.y), simulated=of.simulated[:0]) if odd else of
     row = Row(name, simulated=len(of.simulated))
     for single in (False, True):
         code = Source(file=of.file, name="loop", single=single, given=False, unproved=tuple(of.file.open))
@@ -253,11 +265,11 @@ def specs(home: Path, random: int, names: Sequence[str], after: str | None) -> l
     return paths[known.index(after) + 1 :] if after else paths
 
 
-def tried(path: Path, steps: int, fmu: bool) -> Row | str:
+def tried(path: Path, steps: int, fmu: bool, odd: bool) -> Row | str:
     """Return what is found of a spec, or why it has no controller."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            return judged(path.stem, load_spec(path), steps, fmu)
+            return judged(path.stem, load_spec(path), steps, fmu, odd)
     except PwatrackError as refusal:
         return f"{path.stem}: {refusal.problems[0].message.splitlines()[0]}"
     except Exception as error:  # one that crashes is one row
@@ -268,7 +280,7 @@ def all_rows(asked: argparse.Namespace, console: Console, rows: list[Row], left_
     """Judge all that is asked for, and print each."""
     with tempfile.TemporaryDirectory() as home, ProcessPoolExecutor(asked.jobs, initializer=deaf) as pool:
         paths = specs(Path(home), asked.random, asked.names, asked.after)
-        found = [pool.submit(tried, path, asked.steps, asked.fmu) for path in paths]
+        found = [pool.submit(tried, path, asked.steps, asked.fmu, asked.odd) for path in paths]
         try:
             for one in found:
                 row = one.result()
@@ -330,6 +342,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--after", help="begin behind this spec")
     parser.add_argument("--jobs", type=int, default=2, help="how many at a time")
     parser.add_argument("--fmu", action="store_true", help="run FMUs, too: some 50 microseconds a step")
+    parser.add_argument("--odd", action="store_true", help="NaN, ±Inf, denormals, −0 and the like are measured")
     return parser.parse_args()
 
 
