@@ -101,7 +101,7 @@ def _disturbed(
         if bound is not None and bound > most > 0:
             yield (
                 f"{sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
-                + f" is all that is proved for what acts, {bound / most:.2g} × {most:.3g} {unit}".rstrip()
+                + f" is all that is proved for what acts, {bound / most:.3g} × {most:.3g} {unit}".rstrip()
                 + f" ({what}): {_calmer(acting)}"
             )
 
