@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import OVER_SUMS, Array, number_text, up
+from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import StartGuarantee, known_before, promises
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
@@ -156,8 +156,5 @@ def _taken(controller: ProvedController, signals: SignalRoom) -> Array | None:
     """Return what all that acts in a file does to each signal from error 0, (q,); None where a bound is missing."""
     if not signals.acting:
         return np.zeros(len(signals.forms))
-    each = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
-    if not all(form in each[channel] for channel in signals.acting for form in signals.forms):
-        return None
-    sums = [sum(each[channel][form] * size for channel, size in signals.acting.items()) for form in signals.forms]
-    return np.array(sums) * OVER_SUMS
+    found = controller.claim(SignalBounds).under(controller, signals.acting)
+    return np.array([found[form] for form in signals.forms]) if found.keys() >= set(signals.forms) else None

@@ -27,7 +27,7 @@ A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, whi
 each entry of the coupling, which acts like a disturbance of that state equation.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -269,6 +269,12 @@ class Loops:
                 loads = BallMatrix.of([[-int(j == k)] for j in self.at_inputs], (self.N - self.n, 1))
             delta = above(e, loads)
         return of_loop(loop, e, delta).transpose()
+
+
+def state_rows(plant: PWASystem, forms: Iterable[Form]) -> Array:
+    """Return the rows that read what is tracked, states and measured outputs off x, (q, n)."""
+    of = {"output": plant.tracked, "measured": plant.C, "state": np.eye(len(plant.states))}
+    return np.array([of[kind][k] for kind, k in forms])
 
 
 def of_loop(loop: Loop, e: BallMatrix, delta: BallMatrix) -> BallMatrix:

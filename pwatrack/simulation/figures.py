@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.bounds import Form
+from pwatrack.control.bounds import Form, state_rows
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.enclosure import Enclosing, Segments, Transitions
 from pwatrack.simulation.flow import Mode
@@ -206,9 +206,8 @@ class Measuring:
                 self._within[name] = Enclosing(lambda _: each, turns=turns)
             self._within["largest_input"] = Enclosing(self.loop.inputs, turns=turns)
             if self.limited:
-                x, plant = np.eye(self.loop.at.order)[self.loop.at.x], self.loop.plant
-                of = {"output": plant.tracked, "measured": plant.C}
-                rows = np.array([of[kind][k] @ x if kind in of else x[k] for kind, k in self.limited.values()])
+                x = np.eye(self.loop.at.order)[self.loop.at.x]
+                rows = state_rows(self.loop.plant, self.limited.values()) @ x
                 self._within[_RANGE] = Enclosing(lambda _: rows, turns=turns)
         self._range = np.full((2, len(self.limited)), [[np.inf], [-np.inf]])
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
+from pwatrack.control.bounds import state_rows
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.headroom import OFF, Headroom, Peak, SignalRoom, Starts
@@ -49,8 +50,7 @@ def room_of_signals(spec: Spec, controller: ProvedController) -> SignalRoom | No
     if not limits:
         return None
     names, forms = tuple(limits), tuple(words.form(name) for name in limits)
-    of = {"output": plant.tracked, "state": np.eye(len(plant.states)), "measured": plant.C}
-    rows, trajectory = np.array([of[kind][k] for kind, k in forms]), controller.trajectory
+    rows, trajectory = state_rows(plant, forms), controller.trajectory
     room = _room(
         spec, trajectory, controller.generator, controller.sizes, np.array(list(limits.values())), rows @ trajectory.x_d
     )
