@@ -104,11 +104,9 @@ class KeptLimits(Claim):
     def _kept(self, words: Words, controller: ProvedController) -> Iterator[str]:
         """Yield from which starts all limits are kept, and which of them binds."""
         left, signals = self.left, self.signals
-        kinds = {kind for kind, _ in signals.acting}
-        lasts = signals.room.ever and "disturbance" not in kinds  # more may act after the run
+        lasts = signals.room.ever and not any(kind == "disturbance" for kind, _ in signals.acting)  # else more may act
         kept = f"these limits are kept {'for good' if lasts else 'in this run'}"
-        noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
-        acting = f", with what acts in this file{noise}," if kinds else " while nothing disturbs"
+        acting = f"{self._acting}{',' * bool(signals.acting)}"
         for promise in self.promises if left is not None else ():
             assert left is not None
             starts = promise.said(left, loads=controller.plant.loads is not None)
@@ -117,13 +115,19 @@ class KeptLimits(Claim):
         if left is None or not self.promises:
             yield f"from which starts {kept} is not proved{': ' * bool(self.missing)}{self.missing}"
 
+    @property
+    def _acting(self) -> str:
+        """With what they are kept, in words."""
+        kinds = {kind for kind, _ in self.signals.acting}
+        noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
+        return f", with what acts in this file{noise}" if kinds else " while nothing disturbs"
+
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether they are kept from the start of the run, where that is proved of the loop that runs."""
         left, names = self.left, ", ".join(self.signals.names)
-        acting = ", with what acts in this file" if self.signals.acting else " while nothing disturbs"
         for promise in self.promises if words.conditions.sampling is None else ():
             if left is not None and promise.starts.kind == "run" and promise.scale(left) >= 1:
-                yield "guarantee", f"limits of {names} kept from this start{acting} (proved)"
+                yield "guarantee", f"limits of {names} kept from this start{self._acting} (proved)"
 
 
 def _between(low: float, high: float) -> str:
