@@ -6,15 +6,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from pwatrack.arrays import Array, IntArray
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.control.bounds import Bounds
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec
-from pwatrack.model.pwa import PWASystem
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline, variation
 from pwatrack.workflow.result import SimulatedLoop as Simulated
@@ -24,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pwatrack.export.controller import Controller as Program
+    from pwatrack.report.notebook import Pictures
     from pwatrack.report.run_folder import Plots
 
 
@@ -52,6 +50,9 @@ class Design(ProvedController):
 
     def __repr__(self) -> str:
         return f"<design of {self.spec.name!r}: {self.verdict}, rate {self.figures['rate']:.4g} 1/s>"
+
+    def _repr_html_(self) -> str:
+        return _html(self)
 
     @staticmethod
     def of(spec: Spec, controller: ProvedController) -> "Design":
@@ -168,6 +169,9 @@ class Result(Simulated):
     def __repr__(self) -> str:
         return f"<run of {self.spec.name!r}: {self.outcome.text}>"
 
+    def _repr_html_(self) -> str:
+        return _html(self.controller, self)
+
     @property
     def verdict(self) -> str:
         """How the run ended: "tracks", "within its bound", "off", "grows" or "above its bound"; see `outcome.text`."""
@@ -254,11 +258,27 @@ class Result(Simulated):
 
         return write_result(self, folder, plots=plots)
 
-    def plot(self) -> "dict[str, Figure]":
-        """Return the pictures of a run folder as figures of matplotlib, by name, such as "tracking_error"."""
+    def to_dataframe(self) -> Any:
+        """Return `signals` as a table of pandas by time in s, a column each, with `attrs["units"]`.
+
+        Raises:
+            InvalidSpec: If pandas is not installed.
+        """
+        from pwatrack.report.notebook import frame
+
+        table = frame(self.signals, "t")
+        table.attrs["units"] = dict(self.units)
+        return table
+
+    def plot(self) -> "Pictures":
+        """Return the pictures of a run folder as figures of matplotlib, by name, such as "tracking_error".
+
+        A notebook shows all of them where they are left on the last line of a cell, or one where it is.
+        """
+        from pwatrack.report.notebook import Pictures
         from pwatrack.report.plots.pictures import pictures
 
-        return {name.removesuffix(".png"): draw() for name, draw in pictures(self).items()}
+        return Pictures.of({name.removesuffix(".png"): draw for name, draw in pictures(self).items()})
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -275,6 +295,19 @@ class Many(EnsembleResult):
     def __repr__(self) -> str:
         said = self.failure or f"{len(self.outcomes):,} members {self.variation.text}, none fails"
         return f"<ensemble of {self.nominal.spec.name!r}: {said}>"
+
+    def _repr_html_(self) -> str:
+        return _html(Design.of(self.nominal.spec, self.nominal.controller), self.nominal, self)
+
+    def to_dataframe(self) -> Any:
+        """Return `table` as a table of pandas, a row for each member, from 0.
+
+        Raises:
+            InvalidSpec: If pandas is not installed.
+        """
+        from pwatrack.report.notebook import frame
+
+        return frame(self.table)
 
     @property
     def t(self) -> Array:
@@ -301,9 +334,10 @@ class Many(EnsembleResult):
 
     def plot(self) -> "Figure":
         """Return a figure of matplotlib: how the tracking errors spread over time."""
+        from pwatrack.report.notebook import Pictures
         from pwatrack.report.plots.spread import fan
 
-        return fan(self)
+        return Pictures.of({"ensemble": lambda: fan(self)})["ensemble"]
 
 
 def design(spec: Spec, *, growing: bool = False) -> Design:
@@ -353,7 +387,7 @@ def simulate(asked: Spec | Design, controller: ProvedController | None = None) -
     spec = asked.spec if isinstance(asked, Design) else asked
     known = controller or (asked if isinstance(asked, Design) else None)
     if known is not None:
-        _check_plant(spec, known.running)
+        pipeline.check_plant(spec, known.running)
     run = pipeline.simulate(spec, known)
     return Result(**_parts(run) | {"controller": Design.of(run.spec, run.controller)})
 
@@ -398,24 +432,18 @@ def ensemble(
     return Many(**_parts(found))
 
 
+def _html(design: Design, result: Simulated | None = None, many: Many | None = None) -> str:
+    from pwatrack.report.notebook import html
+
+    return html(design.spec, design, result, many)
+
+
 def _check(function: str, value: object, *kinds: type) -> None:
     if not isinstance(value, kinds):
         wanted = {Spec: "problem or load_spec", Design: "design", Simulated: "simulate"}
         found = f"{function}: a value of type {type(value).__name__} is none of those that it takes"
         said = " or ".join(wanted[kind] for kind in kinds)
         raise InvalidSpec(found, subject=None, hint=f"it takes what {said} returned")
-
-
-def _check_plant(spec: Spec, designed: PWASystem) -> None:
-    """Refuse a design for another plant: it is the design's that would run."""
-    plant = spec.problem.plant
-    pairs = (
-        *((getattr(plant, name), getattr(designed, name)) for name in ("A", "b", "B", "C")),
-        *((getattr(plant.partition, name), getattr(designed.partition, name)) for name in ("H", "h", "signs")),
-    )
-    if not all(np.array_equal(one, other) for one, other in pairs):
-        hint = "other values of parameters in the plant that runs stand in the scenario: simulation.plant.parameters"
-        raise InvalidSpec("simulate: the design is for another plant", subject=None, hint=hint)
 
 
 def _parts(made: Any) -> dict[str, Any]:

@@ -166,6 +166,7 @@ def test_verify_says_what_of_a_run_it_did_not_make_again(box: Path) -> None:
         "parameters",
         "verdict",
         "solver",
+        "sizes",
         "figures",
         "limits",
         "uncertain",

@@ -19,12 +19,14 @@ from pwatrack.report.figures import figure_content, measures
 from pwatrack.report.required import required
 from pwatrack.simulation.closed_loop import Response
 from pwatrack.simulation.figures import Figures, Measuring
+from pwatrack.simulation.margins import margin_figures
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.requirement import QUANTITIES
 from tests.test_cli import call, index_of, refused
 from tests.test_outcome import cart
 
 T = np.linspace(0.0, 10.0, 1001)
+BESIDE = {"gain_margin", "phase_margin", "delay_margin", "time_share"}  # in run.json by themselves
 SIZES = {"final_error", "largest_error", "final_errors", "largest_errors", "largest_input"}
 
 
@@ -163,14 +165,15 @@ def step(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 def test_every_figure_of_run_json_can_be_required_and_no_other(wave: Result, step: Result) -> None:
     found = {**gain_figures(wave.controller), **measures(wave)}
-    assert list(found) == list(QUANTITIES)
+    assert list(found) == [name for name in QUANTITIES if name not in BESIDE]
     for result in (wave, step):
         for name, value in measures(result).items():
             assert isinstance(value, dict) == (QUANTITIES[name].per is not None)
 
 
 def value_of(result: Result, name: str) -> float:
-    value: Any = {**gain_figures(result.controller), **measures(result)}[name]
+    beside = margin_figures(result.controller) | {"time_share": result.figures.time_share["plant"]}
+    value: Any = {**gain_figures(result.controller), **measures(result), **beside}[name]
     return float(next(iter(value.values())) if isinstance(value, dict) else value)
 
 
@@ -184,7 +187,10 @@ def test_each_figure_is_missed_and_met_once(wave: Result, step: Result, tmp_path
     assert len(limits) == 2 or name == "steady_state_residual"
     for limit, met in limits:
         path = tmp_path / "spec.yaml"
-        path.write_text(f"{text}require: {{{name}: {limit!r}}}\n", encoding="utf-8")
+        asked = (
+            f"{{{next(iter(result.figures.time_share['plant']))}: {limit!r}}}" if name == "time_share" else repr(limit)
+        )
+        path.write_text(f"{text}require: {{{name}: {asked}}}\n", encoding="utf-8")
         (checked,) = required(load_spec(path), result.controller, result)
         assert (checked.met, checked.found) == (met, came), checked.text
 
@@ -195,6 +201,8 @@ def test_a_run_and_a_batch_end_with_6_where_any_figure_is_missed_and_with_0_wher
 ) -> None:
     ends = dict[str, int]()
     for name, quantity in QUANTITIES.items():
+        if name == "time_share":
+            continue  # it is of cells by name: below
         result = step if quantity.per == "outputs" else wave
         came, share = value_of(result, name), 1.01 if quantity.best == "at most" else 0.99
         text = result.spec.path.read_text(encoding="utf-8").partition("require:")[0]
@@ -326,6 +334,14 @@ def test_a_member_has_the_figures_of_its_own_run(tmp_path: Path) -> None:
         ("{final_error: -1}", "require.final_error: -1 is negative"),
         ("{final_error: [1]}", "require.final_error: a number or an expression is expected"),
         ("{final_error: limits}", "require.final_error: unknown name 'limits'; did you mean 'limit'?"),
+        ("{final_error: 1 s}", "require.final_error: 's' is no unit of what is in 'm'"),
+        ("{gain_margin: 6 dB}", "require.gain_margin: 'dB': what this is about has no unit: give a number alone"),
+        ("{limits: {z: [0, 2 kg]}}", "require.limits.z: 'kg' is no unit of what is in 'm'"),
+        ("{time_share: 5%}", "require.time_share: a share for some of the cells by name is expected"),
+        (
+            "{time_share: {stop: 5%}}",
+            "require.time_share: 'stop' is no cell of the plant, nor what one of its elements",
+        ),
         ("3", "require: a mapping such as {final_error: 1e-3} is expected"),
         ("{ensemble: 3}", "require.ensemble: what each member is to achieve is expected"),
         ("{ensemble: {members: 90%}}", "require.ensemble: what each member is to achieve is expected"),
@@ -466,3 +482,40 @@ def test_what_took_too_long_to_enclose_is_said_of_the_samples_and_keeps_no_limit
     assert index["simulation"]["sampled"] == list(result.figures.sampled)
     assert index["ensemble"]["sampled"] == sorted(result.figures.sampled)
     assert [each["met"] for each in index["requirements"]] == [False, False, True, False]
+
+
+def test_limits_in_other_units_are_the_same_limits(tmp_path: Path) -> None:
+    plain = load_spec(
+        stage(tmp_path, "{final_error: 1e-3, settling_time: 0.25, limits: {z: [-0.002, .inf], v: [-2, 3]}}")
+    )
+    other = load_spec(
+        stage(tmp_path, "{final_error: 1 mm, settling_time: 250 ms, limits: {z: [-2 mm, .inf], v: [-200 cm/s, 3]}}")
+    )
+    for one, same in zip(plain.requirements, other.requirements, strict=True):
+        assert (one.figure, one.signal) == (same.figure, same.signal)
+        assert same.limit == pytest.approx(one.limit, rel=1e-15)
+
+
+def test_a_share_of_the_time_is_that_of_the_events(tmp_path: Path, specs: Path) -> None:
+    """Against the trace: how many samples are in a cell, to one for each change; and what an element is adds up."""
+    text = (specs / "gallery" / "kinked_tanks.yaml").read_text(encoding="utf-8").partition("require:")[0]
+    path = tmp_path / "spec.yaml"
+    path.write_text(f"{text}require: {{time_share: {{side on: 1, 'side on, overflow off': 1}}}}\n", encoding="utf-8")
+    result = simulate(load_spec(path))
+    side, cell = (checked.found for checked in required(result.spec, result.controller, result))
+    names = result.spec.problem.plant.cell_names
+    modes = result.response.trace.modes[:, [part.name for part in result.loop.flow.parts].index("plant")]
+    known = 1.5 * (1 + len(result.response.trace.events)) / len(modes)
+    assert cell == pytest.approx(np.mean(modes == names.index("side on, overflow off")), abs=known)
+    on = [k for k, name in enumerate(names) if name.startswith("side on")]
+    assert side == pytest.approx(np.isin(modes, on).mean(), abs=known)
+    assert side >= cell
+
+
+def test_a_cell_that_a_run_never_comes_to_has_no_share(tmp_path: Path) -> None:
+    path = stage(tmp_path, "{time_share: {FAR: 0}}", reference='"0.001*sin(t)"')
+    result = simulate(load_spec(stage(tmp_path, "{norm_K: 100}", reference='"0.001*sin(t)"')))
+    (never, *_) = set(result.spec.problem.plant.cell_names) - set(result.figures.time_share["plant"])
+    path.write_text(path.read_text(encoding="utf-8").replace("{norm_K: 100}", f"{{time_share: {{{never}: 0}}}}"))
+    (checked,) = required(load_spec(path), result.controller, result)
+    assert (checked.met, checked.found) == (True, 0)

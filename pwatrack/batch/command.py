@@ -14,7 +14,7 @@ from pwatrack.batch.page import write_page
 from pwatrack.batch.pool import PRELOAD, Pool
 from pwatrack.batch.reports import add_summary, annotations, write_junit, write_lines, write_sarif
 from pwatrack.batch.run import Options, run_batch
-from pwatrack.batch.sweep import Method, draw_sweep, places, sweep, write_sweep
+from pwatrack.batch.sweep import Method, draw_sweep, places, sweep, told_of, write_sweep
 from pwatrack.batch.work import Work, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
@@ -123,6 +123,8 @@ def swept(
         files.append(out / "sweep.png")
     for verdict in dict.fromkeys(point.verdict for point in points):
         screen.print(f"{sum(point.verdict == verdict for point in points):,} {verdict}")
-    if edges:
+    for sentence in told_of(points, edges):
+        screen.print(sentence, soft_wrap=True)
+    if edges and len(axes) > 1:
         screen.print(f"a kind of proof ends at {len(edges):,} places: boundary.csv has both sides of each")
     screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)

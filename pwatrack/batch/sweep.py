@@ -19,11 +19,13 @@ from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import told
 from pwatrack.spec.axis import MOST, Axis
+from pwatrack.spec.requirement import QUANTITIES
 
 Method = Literal["grid", "random", "lhs"]
 PROVED, POLYNOMIAL, PRACTICAL, NONE = "proved", "proved by a polynomial", "practical", "none"
 PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
 
+_TOLD = ("rate", "settling_time", "final_error")  # figures of which the best is said
 _HALVINGS = 60  # of an interval at most: more than a double has digits
 
 
@@ -90,7 +92,8 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
 def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, simulated: bool) -> Point:
     """Design at one place, and simulate if asked."""
     from pwatrack.claims.decay import gain_figures
-    from pwatrack.report.figures import figure_content, measures
+    from pwatrack.report.figures import figure_content, measures, numbers
+    from pwatrack.report.required import required
     from pwatrack.spec.load import load_spec
     from pwatrack.workflow import pipeline
 
@@ -100,10 +103,13 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
         loaded = load_spec(spec, {**fixed, **{name: repr(value) for name, value in values.items()}})
         controller = pipeline.design(loaded, growing=simulated)
         figures, proof = gain_figures(controller), kind_of_proof(controller)
-        if simulated:
-            result = pipeline.simulate(loaded, controller)
+        result = pipeline.simulate(loaded, controller) if simulated else None
+        if result is not None:
             figures |= figure_content(measures(result))
             code, said = int(result.outcome.code), result.outcome.text
+        missed = [each.text for each in required(loaded, controller, result) if not each.met]
+        if missed and code == ExitCode.DONE:
+            code, said = int(ExitCode.CHECK_FAILED), f"missed: {'; '.join(missed)}"
     except MemoryError:
         raise
     except PwatrackError as error:
@@ -111,8 +117,7 @@ def look(spec: Path, fixed: Mapping[str, str], values: Mapping[str, float], *, s
     except Exception as error:
         number, lines = told(error)
         code, said = int(number), lines[0]
-    numbers = {n: float(v) for n, v in figures.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-    return Point(values=values, exit=code, said=said, figures=numbers, proof=proof)
+    return Point(values=values, exit=code, said=said, figures=numbers(figures), proof=proof)
 
 
 def kind_of_proof(controller: ProvedController) -> str:
@@ -190,6 +195,44 @@ def _point(future: Future[Point], values: Mapping[str, float]) -> Point:
         return future.result()
     except Lost as lost:
         return Point(values=values, exit=None, said=lost.reason)
+
+
+def told_of(points: Sequence[Point], edges: Sequence[Edge]) -> Iterator[str]:
+    """Yield what a sweep found: where what is proved, over one parameter, and what is best where every check passes.
+
+    Example:
+        >>> values = (("a", 1.0, 0.3), ("a", 2.0, 0.5))
+        >>> found = [Point(values={n: v}, exit=0, figures={"rate": r}, proof=PROVED) for n, v, r in values]
+        >>> list(told_of([*found, Point(values={"a": 3.0}, exit=3)], []))
+        ['proved at 2 of 3 values: a = 1 to 2', 'largest rate 0.5 1/s at a = 2']
+    """
+    names, found = list(points[0].values), [point for point in points if point.proved]
+    for name in names if len(names) == 1 and found else ():
+        runs = list[list[Point]]()
+        for point in sorted(points, key=lambda point: point.values[name]):
+            if not point.proved or not runs or runs[-1][-1].proof != point.proof:
+                runs.append([])
+            runs[-1].append(point)
+        for run in (run for run in runs if run[0].proved):
+            low, high = (f"{run[k].values[name]:.6g}" for k in (0, -1))
+            where = f"{name} = {low}" + f" to {high}" * (low != high)
+            yield f"{run[0].proof} at {len(run):,} of {len(points):,} values: {where}"
+    for edge in edges if len(names) == 1 else ():
+        yield f"{edge.inside.proof} at {_at(edge.inside)}, {edge.beyond.verdict} at {_at(edge.beyond)}"
+    good = [point for point in found if point.exit == ExitCode.DONE]
+    for name in dict.fromkeys(name for point in good for name in point.figures):
+        figure = next((f for f in _TOLD if name == f or name.startswith(f"{f}_")), "")
+        if figure:
+            least = QUANTITIES[figure].best == "at most"
+            have = [point for point in good if name in point.figures]
+            best = min(have, key=lambda point: point.figures[name] * (1 if least else -1))
+            unit = QUANTITIES[figure].unit if not QUANTITIES[figure].unit.startswith("of") else ""
+            value = f"{best.figures[name]:.4g} {unit}".rstrip()
+            yield f"{'least' if least else 'largest'} {name} {value} at {_at(best)}"
+
+
+def _at(point: Point) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in point.values.items())
 
 
 def write_sweep(folder: Path, axes: Sequence[Axis], points: Sequence[Point], edges: Sequence[Edge]) -> list[Path]:

@@ -91,7 +91,7 @@ def run(
         long = partial(_print_all, made, result, many, checked, assessment)
         came: dict[str, Any] = {"checked": checked, "result": result, "many": many, "largest": made.largest}
         first = list(first_rows(spec, controller, assessment, **came))
-        kept: Any = {"warnings": assessment.warnings, "effort": made.effort, "summary": summary.written(long)}
+        kept: Any = {"assessment": assessment, "effort": made.effort, "summary": summary.written(long)}
         if result is not None:
             files.write_result(result, folder, many=many, first=first, plots=plots, executor=drawing, **kept)
         else:
@@ -191,8 +191,7 @@ class _Made:
             return
         try:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
-                assessment = assessed(spec, controller)
-                kept: dict[str, Any] = {"warnings": assessment.warnings, "effort": self.effort}
+                kept: dict[str, Any] = {"assessment": assessed(spec, controller), "effort": self.effort}
                 files.write_design(spec, controller, folder, broken=refusal, **kept)
                 refusal.add_note(f"  the design is proved all the same: {folder!s}")
                 return

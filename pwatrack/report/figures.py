@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from math import degrees, isfinite
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.margins import Margins
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.requirement import RANGES
@@ -42,6 +44,17 @@ def figure_content(figures: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: figure_content(value) if isinstance(value, Mapping) else _finite(value) if value == np.inf else value
         for name, value in figures.items()
+    }
+
+
+def numbers(figures: Mapping[str, Any]) -> dict[str, float]:
+    """Return the figures that are numbers; those of signals have the name of the signal in theirs: settling_time_y."""
+    parts = ((name, value.items() if isinstance(value, Mapping) else [("", value)]) for name, value in figures.items())
+    return {
+        f"{name}_{of}".rstrip("_"): float(value)
+        for name, each in parts
+        for of, value in each
+        if isinstance(value, int | float) and not isinstance(value, bool)
     }
 
 
@@ -82,6 +95,25 @@ def member_figures(many: EnsembleResult) -> dict[str, Array]:
         for signal in dict.fromkeys(signal for values in found for signal in values):
             columns[f"{name}_{signal}"] = np.array([values.get(signal, np.nan) for values in found])
     return columns
+
+
+def margin_content(one: Margins) -> dict[str, Any]:
+    """Return the margins of a cell at an input as run.json has them, from 1; what nothing ends is None."""
+    ends = [v if isfinite(v) else None for v in (*one.gain, degrees(one.phase), one.delay, one.crossover)]
+    margins = {"gain": ends[:2], "phase": ends[2], "delay": ends[3], "crossover": ends[4]}
+    return {"cell": one.cell + 1, "input": one.input + 1, **margins}
+
+
+def size_content(controller: ProvedController) -> dict[str, dict[str, float]]:
+    """Return the sizes that the gains were weighed with; those of estimates stand behind those of the states."""
+    plant, sizes = controller.plant, controller.sizes
+    loads = () if plant.loads is None else plant.loads.each
+    estimates = [load.name + "'" * k for load in loads for k in range(load.order)]  # a sinusoid has two
+    return {
+        "states": dict(zip([*plant.states, *estimates], [*sizes.state.tolist(), *sizes.load.tolist()], strict=True)),
+        "inputs": dict(zip(plant.inputs, sizes.input.tolist(), strict=True)),
+        "outputs": dict(zip(plant.outputs, sizes.output.tolist(), strict=True)),
+    }
 
 
 def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:

@@ -28,8 +28,10 @@ from pwatrack.report.figures import (
     error_unit,
     figure_content,
     load_content,
+    margin_content,
     measures,
     member_figures,
+    size_content,
 )
 from pwatrack.report.first_rows import first_rows
 from pwatrack.report.kept_spec import keep
@@ -44,7 +46,7 @@ from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.version import versions
-from pwatrack.workflow.cautions import assessed
+from pwatrack.workflow.cautions import Assessment, assessed
 from pwatrack.workflow.how_far import HowFar, LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
@@ -64,7 +66,7 @@ def write_design(
     largest: LargestBox | None = None,
     broken: PwatrackError | None = None,
     effort: Effort = _NONE,
-    warnings: Sequence[str] | None = None,
+    assessment: Assessment | None = None,
     summary: str | None = None,
 ) -> Path:
     """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
@@ -76,7 +78,7 @@ def write_design(
         fronts: What `pareto` returned for controller and observer.
         broken: Why a simulation of it broke off, if it did.
         effort: What it took, for run.json; what is proved while files are written is counted too.
-        warnings: Those of `workflow.cautions`, for run.json.
+        assessment: That of `workflow.cautions`, whose warnings and margins are for run.json.
         summary: What `report.summary` says of it, for summary.txt.
 
     Returns:
@@ -101,7 +103,7 @@ def write_design(
             _fronts(run, spec, fronts)
         index = _index(spec, effort) | proved_content(spec, controller)
         index |= {"remarks": design_remarks(spec, controller)} | _requirements(checked)
-        _summary(run, index, warnings, summary)
+        _summary(run, index, assessment, summary)
         if largest is not None:
             index["largest_box"] = largest_content(largest)
         if broken is not None:
@@ -116,7 +118,7 @@ def write_result(
     *,
     many: EnsembleResult | None = None,
     effort: Effort = _NONE,
-    warnings: Sequence[str] | None = None,
+    assessment: Assessment | None = None,
     summary: str | None = None,
     first: Sequence[Row] | None = None,
     plots: Plots = "all",
@@ -128,7 +130,7 @@ def write_result(
         result: What `simulate(spec)` returned.
         folder: As for `write_design`.
         many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
-        effort, warnings, summary: As for `write_design`.
+        effort, assessment, summary: As for `write_design`.
         first: What the first screen says, for report.html; worked out where it is not given.
         plots: Whether pictures and the page are made, or only if the run does not end as its spec expects.
         executor: Who draws them, but for ensemble.png, in other processes while tables are written.
@@ -160,7 +162,7 @@ def write_result(
         if wanted:
             said = _first(result, checked, many) if first is None else first
             run.text(PAGE, page(result, said, drawn, certificate=certificate, summary=summary))
-        _summary(run, index, warnings, summary)
+        _summary(run, index, assessment, summary)
         run.commit(index)
     return Path(folder)
 
@@ -171,10 +173,10 @@ def _first(result: SimulatedLoop, checked: Sequence[Checked], many: EnsembleResu
     return [*first_rows(spec, controller, assessed(spec, controller), checked=checked, result=result, many=many)]
 
 
-def _summary(run: RunFolder, index: dict[str, Any], warnings: Sequence[str] | None, summary: str | None) -> None:
-    """Add what is for people, where it is there."""
-    if warnings is not None:
-        index["warnings"] = list(warnings)
+def _summary(run: RunFolder, index: dict[str, Any], assessment: Assessment | None, summary: str | None) -> None:
+    """Add what is for people, where it is there: margins are of each cell by itself, in the plant's own order."""
+    if assessment is not None:
+        index |= {"warnings": list(assessment.warnings), "margins": [margin_content(one) for one in assessment.margins]}
     if summary is not None:
         run.text(SUMMARY, summary)
 
@@ -251,6 +253,7 @@ def proved_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         "parameters": dict(spec.parameters),
         "verdict": "proved",
         "solver": spec.objectives.solver,
+        "sizes": size_content(controller),
         **figures(spec.words, controller),
     }
 

@@ -8,18 +8,25 @@ from typing import Any
 from pwatrack.claims.decay import gain_figures
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
+from pwatrack.model.pwa import PWASystem
 from pwatrack.report.figures import error_unit, measures
+from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.margins import margin_figures
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _NO_REST = "the reference does not come to rest before the last tenth of the run, or the output starts there"
+_NO_MARGIN = "no input changes anything, or to look for it in all cells would take long"
 _NO_PERIOD = "no periodic steady state of a trajectory generator was looked for"
 _ABSENT = {  # why a run has no such figure
     "rise_time": _NO_REST,
     "overshoot": _NO_REST,
     "generator_rate": "there is no trajectory generator, or it has no state",
+    "gain_margin": _NO_MARGIN,
+    "phase_margin": _NO_MARGIN,
+    "delay_margin": _NO_MARGIN,
     "largest_multiplier": _NO_PERIOD,
     "steady_state_residual": _NO_PERIOD,
 }
@@ -73,14 +80,18 @@ def required(
         ['norm_K: 1.98, at most 1 required']
     """
     found, problems = list[Checked](), list[Problem]()
+    plant, of_design = spec.problem.plant, gain_figures(controller)
+    if any(asked.figure.endswith("_margin") for asked in spec.requirements):
+        of_design |= margin_figures(controller)
     for asked in spec.requirements:
         members: Sequence[Mapping[str, Any]] = ()
         if asked.share is not None:
-            members = [vars(figures) for figures in many.figures] if many else ()
+            members = [_with_shares(plant, vars(figures), figures) for figures in many.figures] if many else ()
         elif asked.quantity.of == "design":
-            members = [gain_figures(controller)]
+            members = [of_design]
         elif result is not None:
-            members = [measures(result) | {"sampled": result.figures.sampled}]
+            own = measures(result) | {"sampled": result.figures.sampled}
+            members = [_with_shares(plant, own, result.figures)]
         if not members:
             continue
         values = dict(_values(asked, members))
@@ -96,6 +107,15 @@ def required(
         with spec.located():
             raise InvalidSpec(*problems)
     return tuple(found)
+
+
+def _with_shares(plant: PWASystem, figures: Mapping[str, Any], found: Figures) -> dict[str, Any]:
+    """Return figures with the share of the time in each cell of a plant, and in what each of its elements is."""
+    cells, shares = found.time_share.get("plant", {}), dict[str, float]()
+    for cell in dict.fromkeys(plant.cell_names):
+        for part in {cell, *cell.split(", ")}:
+            shares[part] = shares.get(part, 0.0) + cells.get(cell, 0.0)
+    return {**figures, "time_share": shares}
 
 
 def _values(asked: Requirement, members: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, dict[int, float]]]:
@@ -119,7 +139,7 @@ def _checked(
     kept = sum(asked.met(value) and k not in sampled for k, value in values.items())
     of_range = asked.quantity.per == "limited"
     label = f"{asked.figure if of_range else asked.subject[-1]} of {signal}" if signal else asked.figure
-    came, limit = _texts(values[worst], asked.limit, unit)
+    came, limit = _texts(values[worst], asked.limit, unit, never=best == "at most")
     came += " at the samples, not known between them" * (worst in sampled)
     if asked.share is None:
         text, met = f"{label}: {came}, {best} {limit} required", kept == 1
@@ -143,11 +163,12 @@ def _unit(spec: Spec, controller: ProvedController, asked: Requirement, signal: 
     return quantity.unit
 
 
-def _texts(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return two numbers with their unit, with as many digits as it takes to tell them apart."""
+def _texts(value: float, limit: float, unit: str, *, never: bool) -> tuple[str, str]:
+    """Return two numbers with their unit, and enough digits to tell them apart; `never`: of what is best small."""
     scale = 100.0 if unit == "%" else 1.0
     for digits in (4, 6, 9, 17):
         came, asked = (format(v * scale, f".{digits}g") for v in (value, limit))
         if came != asked or value == limit:
             break
-    return "never" if value == inf else f"{came} {unit}".rstrip(), f"{asked} {unit}".rstrip()
+    endless = "never" if never else "without end"
+    return endless if value == inf else f"{came} {unit}".rstrip(), f"{asked} {unit}".rstrip()

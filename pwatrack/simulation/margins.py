@@ -91,6 +91,23 @@ def worst(found: Sequence[Margins]) -> Margins | None:
     )
 
 
+def margin_figures(controller: ProvedController) -> dict[str, float]:
+    """Return the least of all margins: gain as a factor either way, phase in °, delay in s; {} where none is known.
+
+    Example:
+        >>> from pwatrack import design, load_spec
+        >>> found = margin_figures(design(load_spec("specs/two_mass_paper_gains.yaml")))
+        >>> [f"{name} {value:.3g}" for name, value in found.items()]
+        ['gain_margin 1.97', 'phase_margin 23.5', 'delay_margin 0.407']
+    """
+    found = worst(loop_margins(controller))
+    if found is None:
+        return {}
+    low, high = found.gain
+    gain = min(high, 1 / low if low else np.inf)
+    return {"gain_margin": gain, "phase_margin": float(np.degrees(found.phase)), "delay_margin": found.delay}
+
+
 def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
     """Return the margins of ż = M z, in which g row z is what passes the input: stable as 1 − L(jω) turns about 0."""
     opened = M - np.outer(g, row)

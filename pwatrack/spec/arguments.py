@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from pwatrack.arrays import amount
 from pwatrack.errors import InvalidSpec, Subject
 from pwatrack.model.pwa import PWASystem
@@ -26,9 +28,11 @@ class Plant:
         sections: The sections of a file that say the same, as text.
 
     Args:
+        linear: A linear plant as it is elsewhere, in place of A, B, C and names: a StateSpace of python-control or of
+            scipy.signal, in continuous time and without D.
         A: One matrix for each cell, (l, n, n); or one, (n, n), for a linear plant and with `nonlinearities`.
-        B: Input matrix, the same in all cells, (n, m).
-        C: What is measured, (q, n).
+        B: Input matrix, the same in all cells, (n, m); or of one input (n,).
+        C: What is measured, (q, n); or of one output (n,).
         b: One vector for each cell, (l, n), or one, (n,); 0 where nothing is given.
         H: Normals of the hyperplanes H x + h = 0, (k, n).
         h: Their offsets, (k,); 0 where nothing is given.
@@ -59,6 +63,8 @@ class Plant:
         ... )
         >>> stop.system.cell_names, stop.system.b.tolist()
         (('A[0]', 'A[1]'), [[0.0, 0.0], [0.0, 0.1]])
+        >>> plant(A=[[0, 1], [-1, -1]], B=[0, 1], C=[1, 0])
+        <plant with 1 cell, n = 2, m = 1, q = 1>
         >>> plant(A=[[0, 1], [-1, "-d"]], B=[[0, 1]], C=[[1, 0]])
         Traceback (most recent call last):
         pwatrack.errors.InvalidSpec: A[1][1]: unknown name 'd'
@@ -70,10 +76,11 @@ class Plant:
 
     def __init__(
         self,
+        linear: Any = None,
         *,
-        A: Entries,
-        B: Entries,
-        C: Entries,
+        A: Entries | None = None,
+        B: Entries | None = None,
+        C: Entries | None = None,
         b: Entries | None = None,
         H: Entries | None = None,
         h: Entries | None = None,
@@ -90,6 +97,19 @@ class Plant:
         parameters: Mapping[str, Any] | None = None,
         tolerance: Any = None,
     ) -> None:
+        known = {name: v for name, v in {"A": A, "B": B, "C": C}.items() if v is not None}
+        if linear is not None:
+            known, named = _of_system(linear, known)
+            states, inputs, outputs = (
+                one or other for one, other in zip((states, inputs, outputs), named, strict=True)
+            )
+        if missing := [name for name in "ABC" if name not in known]:
+            raise InvalidSpec(*(f"plant: {name} is missing: A, B and C are needed" for name in missing))
+        A, B, C = known["A"], known["B"], known["C"]
+        if len(_shape(B)) == 1:
+            B = [[entry] for entry in _plain(B)]
+        if len(_shape(C)) == 1:
+            C = [_plain(C)]
         shape = _shape(A)
         system: dict[str, Any] = {
             "states": _names("x", shape[-1:]) if states is None else states,
@@ -189,6 +209,23 @@ def argument(subject: Subject) -> str:
         case _:
             return "problem"
     return ("plant" if name == "system" else name) + subscripts(steps)
+
+
+def _of_system(linear: Any, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[list[str] | None]]:
+    """Return A, B and C of a linear system of python-control or scipy.signal, and its names where it has some."""
+    parts = {name: getattr(linear, name, None) for name in "ABCD"}
+    if any(value is None for value in parts.values()):
+        kind = type(linear).__name__
+        raise InvalidSpec(f"plant: a {kind} is no linear system: a StateSpace with A, B, C, D, or A=…, B=…, C=…")
+    faults = [f"plant: {name} is given beside a system that has one" for name in given]
+    if getattr(linear, "dt", None) not in (None, 0):
+        faults.append(f"plant: the system is sampled every {linear.dt} s: one in continuous time is expected")
+    if np.any(parts.pop("D")):
+        faults.append("plant: D is not 0: an output that an input reaches at once is no y = C x of (1)")
+    if faults:
+        raise InvalidSpec(*faults)
+    labels = [list(getattr(linear, f"{kind}_labels", None) or ()) for kind in ("state", "input", "output")]
+    return parts, [names if names and all(map(str.isidentifier, names)) else None for names in labels]
 
 
 def _cells(given: Mapping[str, Any]) -> Any:

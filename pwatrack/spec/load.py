@@ -17,6 +17,7 @@ from pwatrack.remote_files import content
 from pwatrack.spec.axis import Axis, axes_of
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.plant_section import build_plant
+from pwatrack.spec.requirement import check_cells
 from pwatrack.spec.scenario import build_conditions, build_loads, build_objectives, build_reference, build_scenario
 from pwatrack.spec.schema import ExpectSection, PlantFile, SpecFile, validation_problems
 from pwatrack.spec.section import Context
@@ -126,6 +127,7 @@ def _spec_of(
         plant = replace(plant, loads=build_loads(file.design.estimate, plant))
         reference = build_reference(file.reference, plant.tracked_names, folder, file.simulation.duration)
         conditions = build_conditions(file.simulation, plant, parametric, folder)
+        check_cells(file.require, plant.cell_names)
     except PwatrackError as error:
         raise located(error, document.places) from None
     return Spec(

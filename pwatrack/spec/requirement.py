@@ -1,17 +1,18 @@
 """What a run may be required to achieve: the figures of run.json by name, and limits of them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any, Literal
 
 from pydantic import ValidationInfo
 
-from pwatrack.errors import Subject
+from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.simulation.enclosure import CLOSE
 from pwatrack.spec.entries import sized_real, two_limits
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.section import Context, Fault, Faults
+from pwatrack.spec.unit import split, times
 from pwatrack.spec.wording import guess, shown
 
 _HERE = "require"
@@ -26,9 +27,9 @@ class Quantity:
     of: Literal["design", "run", "member"]  # "member": each of an ensemble, and the run itself
     best: Literal["at most", "at least"] = "at most"  # whether a requirement is its largest value or its smallest
     # of which each has its own; "errors": of what follows a reference; "limited": of what has limits
-    per: Literal["outputs", "inputs", "errors", "limited"] | None = None
+    per: Literal["outputs", "inputs", "errors", "limited", "cells"] | None = None
     each: str | None = None  # the figure that is the same of each signal by itself: limits by name are about that
-    unit: Literal["", "1/s", "s", "of the error", "of the signal"] = ""  # its unit, or which unit that is
+    unit: Literal["", "1/s", "s", "°", "of the error", "of the signal"] = ""  # its unit, or which unit that is
     share: bool = False  # whether it is a share, that may be written in percent
     known: float = _ROUNDING  # to which part of itself it is known; missing a limit by less is no miss
 
@@ -43,6 +44,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "robust_rate": Quantity("design", "at least", unit="1/s"),
     "robust_share_K": Quantity("design", "at least", share=True),
     "robust_share_L": Quantity("design", "at least", share=True),
+    "gain_margin": Quantity("design", "at least"),
+    "phase_margin": Quantity("design", "at least", unit="°"),
+    "delay_margin": Quantity("design", "at least", unit="s"),
     "final_error": Quantity("member", each="final_errors", unit="of the error", known=_ENCLOSED),
     "largest_error": Quantity("member", each="largest_errors", unit="of the error", known=_ENCLOSED),
     "final_errors": Quantity("member", per="errors", unit="of the signal", known=_ENCLOSED),
@@ -54,6 +58,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "settling_time": Quantity("member", per="outputs", unit="s"),
     "rise_time": Quantity("member", per="outputs", unit="s"),
     "overshoot": Quantity("member", per="outputs", share=True),
+    "time_share": Quantity("member", per="cells", share=True),
     "largest_multiplier": Quantity("run"),
     "steady_state_residual": Quantity("run"),
 }
@@ -126,6 +131,22 @@ def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Require
     return tuple(found)
 
 
+def check_cells(requirements: Sequence[Requirement], cells: Sequence[str]) -> None:
+    """Refuse a share of the time in what is no cell of the plant, nor what one of its elements is."""
+    of = {asked.signal: asked.subject for asked in requirements if asked.figure == "time_share" and asked.signal}
+    known = dict.fromkeys([*cells, *(part for cell in cells for part in cell.split(", "))])
+    wrong = [
+        Problem(
+            message=f"{'.'.join(map(str, at))}: {shown(cell)} is no cell of the plant, nor what one of its elements is",
+            subject=(*at, cell),
+        )
+        for cell, at in of.items()
+        if cell not in known
+    ]
+    if wrong:
+        raise InvalidSpec(*(replace(one, hint=f"there are {', '.join(map(repr, known))}"[:300]) for one in wrong))
+
+
 def _quantity(name: str, *, inside: bool) -> Quantity:
     """Return what the figure of a name is; `inside` what each member of an ensemble is to achieve."""
     known = [name for name, quantity in QUANTITIES.items() if quantity.of == "member" or not inside]
@@ -151,7 +172,10 @@ def _ranges(value: Any, info: ValidationInfo[Context], share: float | None, at: 
             faults.append(Fault(f": {text}", here))
             continue
         try:
-            both = two_limits(ends, info)
+            unit = info.context.units.get(signal, "")
+            both = two_limits(
+                [_in_unit(end, unit, info.context) for end in ends] if isinstance(ends, list) else ends, info
+            )
         except BrokenParameter:
             continue
         except ValueError as fault:
@@ -168,11 +192,21 @@ def _ranges(value: Any, info: ValidationInfo[Context], share: float | None, at: 
 
 def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str | None, float]]:
     """Return the limits of a figure, with the name of the signal where it is that of one."""
+    if quantity.per == "cells":
+        if not isinstance(value, Mapping) or not value:
+            raise ValueError("a share for some of the cells by name is expected, such as {in the stop: 5%}")
+        return [(cell, _limit(share, quantity, "", context)) for cell, share in value.items()]
+    names = {"inputs": context.inputs, "outputs": context.followed, "errors": context.errors}.get(
+        quantity.per or "", ()
+    )
+    of_signal = quantity.unit == "of the signal"
     if not isinstance(value, Mapping):
-        return [(None, _limit(value, quantity, context))]
+        alike = {context.units.get(name, "") for name in (names if of_signal else context.errors)}
+        unit = quantity.unit if not quantity.unit.startswith("of") else alike.pop() if len(alike) == 1 else ""
+        unit = "" if quantity.unit == "of the error" and len(context.errors) > 1 else unit  # it is in sizes
+        return [(None, _limit(value, quantity, unit, context))]
     if quantity.per is None:
         raise ValueError("one number is expected: this figure is not one of a signal")
-    names = {"inputs": context.inputs, "outputs": context.followed, "errors": context.errors}[quantity.per]
     if not value:
         raise ValueError(f"nothing is given: a number, or one for some of the {quantity.per} by name")
     for signal in value:
@@ -180,11 +214,12 @@ def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str 
             meant = guess(signal, names)
             of = {"errors": "signals that have an error"}.get(quantity.per, quantity.per)
             raise ValueError(f"{shown(signal)} is none of the {of} ({', '.join(names)}){meant}")
-    return [(signal, _limit(limit, quantity, context)) for signal, limit in value.items()]
+    own = {name: context.units.get(name, "") if of_signal else quantity.unit for name in value}
+    return [(signal, _limit(limit, quantity, own[signal], context)) for signal, limit in value.items()]
 
 
-def _limit(value: Any, quantity: Quantity, context: Context) -> float:
-    """Return a number that is not negative; a share may be written in percent."""
+def _limit(value: Any, quantity: Quantity, unit: str, context: Context) -> float:
+    """Return a number that is not negative; a share may be written in percent, and what has a `unit` in another one."""
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
     if value.rstrip().endswith("%"):
@@ -192,14 +227,21 @@ def _limit(value: Any, quantity: Quantity, context: Context) -> float:
             raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
         limit = float(sized_real(value.rstrip()[:-1], context)) / 100
     else:
-        limit = float(sized_real(value, context))
+        found = _in_unit(value, unit, context)
+        limit = found if isinstance(found, float) else float(sized_real(found, context))
     if limit < 0:
         raise ValueError(f"{limit:g} is negative, and no figure is")
     return limit
 
 
+def _in_unit(value: Any, unit: str, context: Context) -> Any:
+    """Return the number of a text such as '0.5 mm' in the unit of what it limits; what has no unit as it is."""
+    number, given = split(value) if isinstance(value, str) else (value, "")
+    return float(sized_real(number, context)) * times(given, unit) if given else value
+
+
 def _share(value: Any, context: Context) -> float:
-    share = 1.0 if value == "all" else _limit(value, Quantity("member", share=True), context)
+    share = 1.0 if value == "all" else _limit(value, Quantity("member", share=True), "", context)
     if not 0 < share <= 1:
         raise ValueError(f"{shown(value)} is no share of the members: 'all', or for example 95%")
     return share

@@ -36,12 +36,14 @@ class Context:
     loads: Mapping[str, int] = field(default_factory=dict)  # to be estimated, with how many states each has
     chosen: tuple[str, ...] = ()  # those of the outputs that are to follow a reference, where some are named
     tracking: str = "output"  # what `design` says of it
+    units: Mapping[str, str] = field(default_factory=dict)  # of signals by name
 
     @staticmethod
     def of(data: Mapping[str, Any], parameters: Mapping[str, Real | None]) -> "Context":
         """Return what a raw tree declares."""
         states, inputs, outputs = (_texts(at_path(data, ("system", name))) for name in ("states", "inputs", "outputs"))
         tracked, estimate = at_path(data, ("system", "track")), at_path(data, ("design", "estimate"))
+        units = at_path(data, ("system", "units"))
         loads, tracking = estimate if isinstance(estimate, dict) else {}, at_path(data, ("design", "tracking"))
         return Context(
             parameters=parameters,
@@ -54,6 +56,9 @@ class Context:
             else {name: 1 + (isinstance(load, dict) and "frequency" in load) for name, load in loads.items()},
             chosen=tuple(filter(outputs.__contains__, _texts(tracked))),
             tracking=tracking if isinstance(tracking, str) else "output",
+            units={name: unit for name, unit in units.items() if isinstance(unit, str) and unit != "1"}
+            if isinstance(units, dict)
+            else {},
         )
 
     @property

@@ -19,6 +19,7 @@ from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
+from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.acting import acting
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
@@ -278,3 +279,15 @@ def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:
     """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
     with spec.located(), asking(spec.objectives.solver):
         return proved(replace(controller, claims=()), asked_of(spec, _room(spec, controller), controller))
+
+
+def check_plant(spec: Spec, designed: PWASystem) -> None:
+    """Refuse a design for another plant: it is the design's that would run."""
+    plant = spec.problem.plant
+    pairs = (
+        *((getattr(plant, name), getattr(designed, name)) for name in ("A", "b", "B", "C")),
+        *((getattr(plant.partition, name), getattr(designed.partition, name)) for name in ("H", "h", "signs")),
+    )
+    if not all(np.array_equal(one, other) for one, other in pairs):
+        hint = "other values of parameters in the plant that runs stand in the scenario: simulation.plant.parameters"
+        raise InvalidSpec("simulate: the design is for another plant", subject=None, hint=hint)

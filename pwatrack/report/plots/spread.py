@@ -31,6 +31,7 @@ from pwatrack.workflow.variation import EnsembleResult
 
 _STYLES = ("-", "--", "-.", ":")  # told apart without colour too
 _SHOWN = {"rate": "proved decay rate (1/s)", "norm_K": "‖K‖ in sizes", "final_error": "final error"}
+_SETTLING = "settling_time_"
 _LOGARITHMIC = ("final_error",)
 _COLOURS = {  # of verdicts
     "proved": "#12355b",
@@ -129,7 +130,7 @@ def run_errors(runs: Mapping[str, tuple[Array, Array]], unit: str) -> Figure:
 
 def sweep_curves(title: str, name: str, at: Array, figures: Mapping[str, Array], ends: Sequence[float]) -> Figure:
     """Draw figures over one parameter; where there is none, nothing is proved. `ends` are where the proof ends."""
-    shown = [(key, text) for key, text in _SHOWN.items() if key in figures]
+    shown = _shown(figures)
     rows, order = max(1, len(shown)), np.argsort(at)
     figure = Figure(figsize=(7.5, 1.0 + 2.0 * rows), layout="constrained")
     figure.suptitle(title, fontsize=10)
@@ -155,7 +156,7 @@ def sweep_maps(
     ends: Sequence[tuple[float, float]],
 ) -> Figure:
     """Draw the verdict and figures over two parameters, with the ends of the proof."""
-    shown = [(key, text) for key, text in _SHOWN.items() if key in figures and np.isfinite(figures[key]).any()]
+    shown = [(key, text) for key, text in _shown(figures) if np.isfinite(figures[key]).any()]
     figure = Figure(figsize=(4.2 * (1 + len(shown)), 3.8), layout="constrained")
     figure.suptitle(title, fontsize=10)
     first, *others = figure.subplots(1, 1 + len(shown), squeeze=False)[0]
@@ -175,6 +176,13 @@ def sweep_maps(
         axes.set_xlabel(names[0])
         axes.set_ylabel(names[1])
     return figure
+
+
+def _shown(figures: Mapping[str, Array]) -> list[tuple[str, str]]:
+    """Return which figures are drawn, and their labels."""
+    times = [key for key in figures if key.startswith(_SETTLING)]
+    settling = ((key, f"settling time of {key.removeprefix(_SETTLING)} (s)") for key in times)
+    return [*((key, text) for key, text in _SHOWN.items() if key in figures), *settling]
 
 
 def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> ScalarMappable:

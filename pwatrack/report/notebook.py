@@ -1,0 +1,89 @@
+"""How a design, a run or an ensemble shows itself in a notebook: first screen, pictures, signals as a table."""
+
+import base64
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from pwatrack.control.controller import ProvedController, Row
+from pwatrack.errors import InvalidSpec
+from pwatrack.report.first_rows import first_rows
+from pwatrack.report.required import required
+from pwatrack.report.screen import joined
+from pwatrack.spec.spec import Spec
+from pwatrack.workflow.cautions import assessed
+from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.variation import EnsembleResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LEFT = "text-align:left;vertical-align:top"
+
+
+class Pictures(dict[str, "Figure"]):
+    """Figures by name; a notebook shows all of them, and each by itself."""
+
+    @classmethod
+    def of(cls, draw: Mapping[str, Callable[[], "Figure"]]) -> "Pictures":
+        """Draw each picture."""
+        from pwatrack.report.plots.canvas import png
+
+        def shown(figure: "Figure") -> "Figure":
+            vars(figure)["_repr_png_"] = lambda: png(figure)  # what IPython asks for where pyplot is not in use
+            return figure
+
+        return cls({name: shown(one()) for name, one in draw.items()})
+
+    def _repr_html_(self) -> str:
+        return "".join(_picture(name, figure) for name, figure in self.items())
+
+
+def _picture(name: str, figure: "Figure") -> str:
+    from pwatrack.report.plots.canvas import png
+
+    data = base64.b64encode(png(figure)).decode()
+    return f'<img alt="{escape(name)}" style="max-width:48em;width:100%" src="data:image/png;base64,{data}">'
+
+
+def html(
+    spec: Spec, controller: ProvedController, result: SimulatedLoop | None = None, many: EnsembleResult | None = None
+) -> str:
+    """Return the first screen of a design, a run or an ensemble as a table, and how its error goes as a picture.
+
+    Example:
+        >>> from pwatrack import design, load_spec
+        >>> made = design(load_spec("specs/two_mass_paper_gains.yaml"))
+        >>> "error to 0 from every start" in html(made.spec, made)
+        True
+    """
+    checked = required(spec, controller, result, many)
+    came: dict[str, Any] = {"checked": checked, "result": result, "many": many}
+    rows: Sequence[Row] = joined(first_rows(spec, controller, assessed(spec, controller), **came))
+    lines = (
+        f'<tr><th style="{_LEFT}">{escape(label)}</th><td style="{_LEFT}">{escape(text)}</td></tr>'
+        for label, text in rows
+    )
+    table = f'<table style="max-width:60em"><caption>{escape(spec.name)}</caption>{"".join(lines)}</table>'
+    if result is None:
+        return table
+    from pwatrack.report.plots.errors import tracking_error
+    from pwatrack.report.plots.spread import fan
+
+    return table + _picture("tracking error", tracking_error(result) if many is None else fan(many))
+
+
+def frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
+    """Return columns as a table of pandas, by time or by member.
+
+    Raises:
+        InvalidSpec: If pandas is not installed.
+    """
+    try:
+        pandas = import_module("pandas")
+    except ImportError:
+        message, hint = "to_dataframe: the package pandas is not installed", "pip install 'pwatrack[table]'"
+        raise InvalidSpec(message, subject=None, hint=hint) from None
+    table = pandas.DataFrame(dict(columns))
+    return table if index is None else table.set_index(index)
