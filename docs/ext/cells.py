@@ -6,6 +6,7 @@
 | ```` ```{run} [exit=N] ```` | runs its lines in a shell there, and shows what was printed |
 | ```` ```{python} ```` | runs its text with Python there, and shows both |
 | ```` ```{picture} FILE ```` | shows a picture that was made there; its text is the caption |
+| ```` ```{explore} FILE NAME=LOW:HIGH:POINTS … ```` | its text, a spec, at each place of a grid, with sliders |
 | ```` ```{equation} NUMBER ```` | a formula; lines `modules:` and `tests:` name what carries it |
 | ```` ```{generated} NAME ```` | what a function of `docs.ext.reference` or `docs.ext.gallery` returns |
 
@@ -81,6 +82,12 @@ class Page:
                 return self._run(block)
             case "picture":
                 return self._picture(block)
+            case "explore":
+                from docs.ext.explore import explored
+
+                name, *axes = block.told.split()
+                shown_file = self._file(Block("file", name, block.text))
+                return explored(self.folder / name, axes) + "\n" + shown_file
             case "equation":
                 return shown(carried(block))
             case "generated":
