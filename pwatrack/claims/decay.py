@@ -23,7 +23,7 @@ from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 
-_LINE = 136  # letters of gains on the first screen, two lines: more are left to their file
+_LINE = 68  # letters of gains on the first screen: what takes more is rounded, and else left to its file
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 
@@ -96,6 +96,8 @@ class Decay(Claim):
         if promised.generator:
             yield "guarantee", f"feedforward settles with {slowest(max(p.rate for p in promised.generator))}"
         gains = f"K = {matrix_text(design.K)}, Lᵀ = {matrix_text(design.L.T)}"
+        if len(gains) > _LINE:
+            gains = f"K ≈ {matrix_text(design.K, '.3g')}, Lᵀ ≈ {matrix_text(design.L.T, '.3g')}"
         if len(gains) > _LINE:
             norm_K, norm_L = sizes.norms(design.K, design.L)
             gains = f"‖K‖ = {norm_K:.4g}, ‖L‖ = {norm_L:.4g} 1/s in sizes; entries in gains.json"

@@ -122,6 +122,6 @@ def per_second(unit: str) -> str:
     return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
-def matrix_text(X: Array) -> str:
+def matrix_text(X: Array, digits: str = ".5g") -> str:
     """Return a matrix in a line."""
-    return "[" + "; ".join(" ".join(number_text(v) for v in row) for row in X) + "]"
+    return "[" + "; ".join(" ".join(number_text(v, digits) for v in row) for row in X) + "]"

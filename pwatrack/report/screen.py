@@ -34,7 +34,7 @@ _ORDER = {  # what comes first; the number says what gives way to what: the larg
     "files": 0,
 }
 _EACH = ("missed", "warning", "remark", "cell")  # a row for each; of other labels all is one sentence
-_WHOLE = ("missed", "simulated", "warning")  # the first of these has two lines before others begin
+_WHOLE = ("missed", "simulated", "warning")  # the first two of these have two lines before lesser rows begin
 _FIRST = 3  # of a label: more give way to the rest
 
 
@@ -78,7 +78,7 @@ def fitted(rows: Sequence[Row], most: int) -> list[str]:
     for k, (label, _) in enumerate(rows):
         seen[label] = seen.get(label, 0) + 1
         weighed.append((_ORDER[label] + (max(_ORDER.values()) if seen[label] > _FIRST else 0), k))
-        whole.append(label in _WHOLE and seen[label] == 1)
+        whole.append(label in _WHOLE and seen[label] < _FIRST)
     wanted, given, spare = [len(_wrapped(row, most)) for row in rows], [0] * len(rows), most
     ranked = [k for _, k in sorted(weighed)]
     first = [k for k in ranked if not _ORDER[rows[k][0]]]

@@ -76,7 +76,7 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     lines = textwrap.wrap(kept, max(_FEWEST, int(room / (_LETTER * size))), max_lines=4, placeholder=" …")
     axes.set_ylabel(plain("\n".join(lines).replace("\u00a0", " ")), fontsize=size)
     axes.set_xlim(shown[0], shown[-1])
-    axes.tick_params(labelsize=8)
+    axes.tick_params(which="both", labelsize=8)
     for axis in (axes.xaxis, axes.yaxis):
         axis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
