@@ -19,7 +19,7 @@ _ORDER = {  # what comes first; the number says what gives way to what: the larg
     "warning": 2,
     "remark": 8,
     "ensemble": 1,
-    "required": 3,
+    "required": 4,  # that all is met; what is not stands under "missed"
     "guarantee": 1,
     "sampled": 6,
     "largest box": 1,
@@ -27,7 +27,7 @@ _ORDER = {  # what comes first; the number says what gives way to what: the larg
     "NOT proved": 3,
     "input": 4,
     "margins": 7,
-    "K, L": 2,
+    "K, L": 3,
     "cell": 4,
     "reference": 2,
     "sizes": 5,
@@ -35,6 +35,7 @@ _ORDER = {  # what comes first; the number says what gives way to what: the larg
 }
 _EACH = ("missed", "warning", "remark", "cell")  # a row for each; of other labels all is one sentence
 _WHOLE = ("missed", "simulated", "warning")  # the first two of these have two lines before lesser rows begin
+_WEIGHTY = 3  # what weighs so much has a line before anything has two: also what is NOT proved
 _FIRST = 3  # of a label: more give way to the rest
 
 
@@ -81,7 +82,7 @@ def fitted(rows: Sequence[Row], most: int) -> list[str]:
         whole.append(label in _WHOLE and seen[label] < _FIRST)
     wanted, given, spare = [len(_wrapped(row, most)) for row in rows], [0] * len(rows), most
     ranked = [k for _, k in sorted(weighed)]
-    first = [k for k in ranked if not _ORDER[rows[k][0]]]
+    first = [k for weight, k in sorted(weighed) if weight <= _WEIGHTY]
     for k, lines in (*((k, 1) for k in first), *((k, 1 + whole[k]) for k in ranked), *((k, most) for k in ranked)):
         more = min(spare, max(min(wanted[k], lines) - given[k], 0))
         given[k], spare = given[k] + more, spare - more
