@@ -189,7 +189,7 @@ def test_a_loop_that_runs_away_ends_with_6_and_all_its_files(tmp_path: Path, con
     title, first, *_ = lines(run.stdout)
     assert title == "Cart"
     assert re.match(r"simulated the error grows: \|y − y_d\| up to", first)
-    assert "NOT proved plant with k = 12" in " ".join(run.stdout.split())
+    assert "NOT proved for plant with k = 12" in " ".join(run.stdout.split())
     _, first, second, third, *_ = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
     assert first.startswith("simulated 20 s: the error grows: |y − y_d| up to")
     said = [second, third]
@@ -230,7 +230,7 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
     assert run.exit_code == 0, run.output
     _, first, *_ = lines(run.stdout)
     assert re.match(r"simulated 20 s, limits, disturbance: off, error \S+ m in the last tenth \(\S+ at worst\)$", first)
-    assert "NOT proved u limited to [-0.1, 0.1]" in lines(run.stdout)
+    assert "NOT proved for u limited to [-0.1, 0.1]" in lines(run.stdout)
     said = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
     assert "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt" in said
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "off"

@@ -143,7 +143,7 @@ class SampledLoop(Claim):
         """Yield whether the sampling is in a proof, and how fast it is."""
         if self.proof is None:
             at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
-            yield "NOT proved", f"sampled every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
+            yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
             every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
             yield "sampled", f"every {every} s, proved too: time constant {constant} s"

@@ -109,7 +109,7 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
     if said := conditions.texts(controller.plant):
-        yield "NOT proved", "; ".join(said)
+        yield "NOT proved", f"for {'; '.join(said)}"
     if controller.trajectory.growth is not None:
         yield "NOT proved", "that x_d is bounded and what was asked for: it is not"
 
