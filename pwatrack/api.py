@@ -334,10 +334,9 @@ class Many(EnsembleResult):
 
     def plot(self) -> "Figure":
         """Return a figure of matplotlib: how the tracking errors spread over time."""
-        from pwatrack.report.notebook import Pictures
-        from pwatrack.report.plots.spread import fan
+        from pwatrack.report.notebook import Pictures, spread
 
-        return Pictures.of({"ensemble": lambda: fan(self)})["ensemble"]
+        return Pictures.of({"ensemble": lambda: spread(self)})["ensemble"]
 
 
 def design(spec: Spec, *, growing: bool = False) -> Design:

@@ -16,6 +16,7 @@ from pwatrack.arrays import Array
 from pwatrack.claims.decay import gain_figures
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.figures import figure_content, measures
+from pwatrack.report.plots.spread import fan
 from pwatrack.report.required import required
 from pwatrack.simulation.closed_loop import Response
 from pwatrack.simulation.figures import Figures, Measuring
@@ -23,6 +24,7 @@ from pwatrack.simulation.margins import margin_figures
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.requirement import QUANTITIES
 from tests.test_cli import call, index_of, refused
+from tests.test_drawing import points
 from tests.test_outcome import cart
 
 T = np.linspace(0.0, 10.0, 1001)
@@ -299,6 +301,13 @@ def test_members_of_an_ensemble_are_held_to_their_share(tmp_path: Path) -> None:
     wishes = f"{{ensemble: {{members: SHARE, largest_input: {limit}, final_error: 1e-3}}}}"
     kept = sum(figures.largest_input["u"] <= limit for figures in many.figures)
     assert 0 < kept < 20
+    spec = load_spec(stage(tmp_path, wishes.replace("SHARE", "all"), boxes))
+    figure = fan(many, required(spec, many.nominal.controller, many=many))
+    strip = figure.axes[2]  # below the errors, whose limit is a line there
+    worst = max(figures.largest_input["u"] for figures in many.figures)
+    assert strip.get_xlabel() == f"largest_input of u (N): worst {worst:.4g}, at most {limit:.4g} required"
+    assert len(figure.axes) == 3
+    assert {float(points(line)[0, 0]) for line in strip.lines} >= {limit, worst}
     for share, met in ((f"{kept}/20", True), (f"{5 * kept + 1}%", False), ("all", False)):
         path = stage(tmp_path, wishes.replace("SHARE", share), boxes)
         run = call("simulate", path, "--ensemble", 20, "--out", tmp_path / "out")

@@ -155,7 +155,7 @@ def write_result(
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
         pictures = begin(result, executor) if wanted else dict[str, bytes]
         _signals(run, result)
-        fan = _ensemble(run, many, picture=wanted) if many else {}
+        fan = _ensemble(run, many, checked, picture=wanted) if many else {}
         drawn = {**fan, **pictures()}
         for name, content in drawn.items():
             run.place(name).write_bytes(content)
@@ -402,7 +402,7 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
-def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> dict[str, bytes]:
+def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], *, picture: bool) -> dict[str, bytes]:
     """Write a row for each member, and return the picture of all, by name.
 
     A time that never comes, and a figure that a member has not, are empty.
@@ -423,7 +423,7 @@ def _ensemble(run: RunFolder, many: EnsembleResult, *, picture: bool) -> dict[st
     from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.spread import fan
 
-    return {"ensemble.png": png(fan(many))}
+    return {"ensemble.png": png(fan(many, checked))}
 
 
 def _index(spec: Spec, effort: Effort) -> dict[str, Any]:

@@ -69,9 +69,15 @@ def html(
     if result is None:
         return table
     from pwatrack.report.plots.errors import tracking_error
+
+    return table + _picture("tracking error", tracking_error(result) if many is None else spread(many))
+
+
+def spread(many: EnsembleResult) -> "Figure":
+    """Return the picture of an ensemble, with what is required of its members."""
     from pwatrack.report.plots.spread import fan
 
-    return table + _picture("tracking error", tracking_error(result) if many is None else fan(many))
+    return fan(many, required(many.nominal.spec, many.nominal.controller, many=many))
 
 
 def frame(columns: Mapping[str, Any], index: str | None = None) -> Any:

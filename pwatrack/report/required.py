@@ -37,11 +37,14 @@ class Checked:
     """A requirement of a signal ('' where the figure is not one of a signal), and what came out, also in words.
 
     `found` is the figure, of an ensemble that of its worst member; infinite for a time that never comes. `short` is the
-    text for the first screen.
+    text for the first screen, `label` names the figure, and `members` has it of each member of an ensemble.
     """
 
     requirement: Requirement
     signal: str
+    label: str
+    unit: str
+    members: tuple[float, ...]
     found: float
     met: bool
     text: str
@@ -149,7 +152,18 @@ def _checked(
         count = f"{kept:,} of {len(values):,} members, in {least:,} required"
         text, met = f"{label}: {best} {limit} in {count}; worst {came}, member {worst + 1}", kept >= least
         short = f"{label} {came} at worst ({best} {limit})"
-    return Checked(requirement=asked, signal=signal, found=values[worst], met=met, text=text, short=short)
+    members = tuple(values.values()) if asked.share is not None else ()
+    return Checked(
+        requirement=asked,
+        signal=signal,
+        label=label,
+        unit=unit,
+        members=members,
+        found=values[worst],
+        met=met,
+        text=text,
+        short=short,
+    )
 
 
 def _unit(spec: Spec, controller: ProvedController, asked: Requirement, signal: str) -> str:

@@ -27,12 +27,14 @@ from pwatrack.report.plots.canvas import (
     limits,
     plain,
 )
+from pwatrack.report.required import Checked
 from pwatrack.workflow.variation import EnsembleResult
 
 _STYLES = ("-", "--", "-.", ":")  # told apart without colour too
 _SHOWN = {"rate": "proved decay rate (1/s)", "norm_K": "‖K‖ in sizes", "final_error": "final error"}
 _SETTLING = "settling_time_"
 _LOGARITHMIC = ("final_error",)
+_ERRORS = {"final_error": " in the last tenth", "largest_error": ""}  # required of members: when
 _COLOURS = {  # of verdicts
     "proved": "#12355b",
     "proved by a polynomial": "#2f7f86",
@@ -47,8 +49,11 @@ _COLOURS = {  # of verdicts
 }
 
 
-def fan(many: EnsembleResult) -> Figure:
-    """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic."""
+def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
+    """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic.
+
+    Below, what is required of its members, each figure beside its limit, but for errors, whose limits are lines above.
+    """
     kept, result = many.ensemble, many.nominal
     unit = error_unit(result.spec, result.controller)
     largest = f"{number_text(max(figures.final_error for figures in many.figures), '.2g')} {unit}".rstrip()
@@ -56,7 +61,11 @@ def fan(many: EnsembleResult) -> Figure:
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
     title += ", at the samples" * any("final_error" in figures.sampled for figures in many.figures)
     last = "last to be small" if np.isfinite(kept.small_from).all() else "largest at the end"
-    figure, (linear, logarithmic) = canvas(result, title, [[0], [1]], height=6.2)
+    strips = [each for each in checked if each.members and each.requirement.figure not in _ERRORS]
+    mosaic, ratios = [[k] for k in range(2 + len(strips))], (2.6, 2.6, *(0.75 for _ in strips))
+    figure, (linear, logarithmic, *below) = canvas(result, title, mosaic, height=1.0 + sum(ratios), ratios=ratios)
+    for axes, each in zip(below, strips, strict=True):
+        _strip(axes, each)
     floor = ROUNDING * np.abs(result.response.x).max()
     names = result.controller.plant.tracked_names if result.controller.generator else ("x",)
     size = f"|{names[0]} − {names[0]}_d|" if result.controller.generator and len(names) == 1 else "‖e‖"
@@ -75,7 +84,7 @@ def fan(many: EnsembleResult) -> Figure:
         axes.fill_between(t, quarter, three_quarters, color="0.6", linewidth=0, label="50 %")
         axes.plot(t, middle, label="median", **ACTUAL)
         axes.plot(t, error[member], label=f"{name}: member {member + 1}", **WORST)
-        for wish, when in (("final_error", " in the last tenth"), ("largest_error", "")):
+        for wish, when in _ERRORS.items():
             for limit in limits(result, wish, members=True):
                 axes.axhline(limit, label=f"required{when}", **REQUIRED)
         legend(axes, columns=3)
@@ -90,6 +99,32 @@ def fan(many: EnsembleResult) -> Figure:
             "rounding", (logarithmic.get_xlim()[1], floor), ha="right", va="top", fontsize=8, color="0.3"
         )
     return figure
+
+
+def _strip(axes: Axes, checked: Checked) -> None:
+    """Draw a figure of all members beside what is required of it; those that it never comes to are counted."""
+    unit, scale = checked.unit, 100.0 if checked.unit == "%" else 1.0
+    limit = scale * checked.requirement.limit
+    values = scale * np.array(checked.members)
+    found = values[np.isfinite(values)]
+    axes.axvline(limit, **REQUIRED)
+    if len(found):
+        low, quarter, middle, three_quarters, high = np.quantile(found, (0.05, 0.25, 0.5, 0.75, 0.95))
+        worst = found.max() if checked.requirement.quantity.best == "at most" else found.min()
+        axes.fill_between([low, high], -1, 1, color="0.82", linewidth=0)
+        axes.fill_between([quarter, three_quarters], -1, 1, color="0.6", linewidth=0)
+        axes.plot([middle, middle], [-1, 1], **ACTUAL)
+        axes.plot([worst, worst], [-1, 1], **WORST)
+    never = len(values) - len(found)
+    name = f"{checked.label} ({unit})" if unit else checked.label
+    name += f": worst {number_text(scale * checked.found, '.4g')}" * bool(np.isfinite(checked.found))
+    name += f", {checked.requirement.quantity.best} {number_text(limit, '.4g')} required"
+    name += f"; {never:,} of {len(values):,} never" * bool(never)
+    shown = np.append(found, limit)
+    around = 0.04 * (np.ptp(shown) or abs(limit) or 1.0)
+    label(axes, name, "", (shown.min() - around, shown.max() + around))
+    axes.set_yticks([])
+    axes.set_ylim(-1.4, 1.4)
 
 
 def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
