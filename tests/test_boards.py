@@ -71,24 +71,6 @@ def test_neighbours_of_the_drivetrain_stay_as_near_as_its_form_says() -> None:
     assert 0 < max(abs(np.diff(ends))) <= 0.6 * most < np.inf
 
 
-def test_a_contact_is_continuous_and_covers_the_plane() -> None:
-    """The cells that its signs mean are those of a plant that is proved continuous; its force is the formula."""
-    part = modelica.contact("stop", *np.eye(3))
-    forms = ["s", "s + v", "v - s"]
-    sides = {1: ">= 0", -1: "<= 0"}
-    where = [[f"{form} {sides[k]}" for form, k in zip(forms, row, strict=True) if k] for row in part.signs.tolist()]
-    rows = (part.F[:, 2, :2] / 1.0).tolist()
-    found = plant(
-        A=[[[0, 1], [-row[0], -row[1]]] for row in rows], B=[[0], [1]], C=[[1, 0]], where=where, states=["s", "v"]
-    )
-    assert len(found.system.A) == 4
-    for s, v in np.random.default_rng(1).normal(size=(50, 2)):
-        inside = np.flatnonzero((part.signs * [s, s + v, v - s] >= 0).all(axis=1))
-        assert len(inside)
-        for k in inside:
-            assert part.F[k][2] @ [s, v, 1.0] == pytest.approx(max(0.0, min(s + v, 2 * s)))
-
-
 @pytest.mark.parametrize("name", modelica.MODELS)
 def test_cells_of_a_model_are_the_formulas_that_integrators_take(name: str) -> None:
     model = modelica.MODELS[name]()

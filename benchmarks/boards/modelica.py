@@ -7,7 +7,8 @@ The folder has `Backlash.Backlash.csv`, `ElastoGap.ElastoGap.csv`, `PreLoad.PreL
 
 What is continuous piecewise affine: a contact whose damper only pushes, and never more than the spring, has the force
 max(0, min(p + q, 2 p)) with p = c · compression and q = d · its rate: three planes p = 0, p + q = 0, q = p through one
-line, a field of two linear forms. That is ElastoGap with the exponent 1, and each side of ElastoBacklash. A slew-rate
+line, a field of two linear forms: `kind: contact` of a spec. That is ElastoGap with the exponent 1; ElastoBacklash is
+`kind: elasto_backlash`, one on either side. A slew-rate
 limiter is a saturation of (u − y) / Td. What is not: ElastoBacklash2, whose torque jumps where contact begins, and
 ElastoGap with another exponent.
 
@@ -29,6 +30,9 @@ import numpy as np
 
 from benchmarks.boards.limited import machine, table
 from pwatrack.arrays import Array
+from pwatrack.model.contact import Contact
+from pwatrack.model.linear_form import LinearForm
+from pwatrack.real import Real
 from pwatrack.simulation.flow import Flow, SwitchedPart
 from pwatrack.simulation.propagate import StateResets, simulate_flow
 
@@ -87,7 +91,7 @@ class Model:
         F0 = np.zeros((N, N))
         for name, form in self.linear.items():
             F0[self.names.index(name)] = self.row(form)
-        parts = [contact(name, self.row(p), self.row(q), self.row(into)) for name, p, q, into in self.contacts]
+        parts = [touch(name, self.row(p), self.row(q), self.row(into)) for name, p, q, into in self.contacts]
         return Flow(F0=F0, parts=(*parts, *([slew_rates(self)] if self.limiter else [])))
 
     def derivative(self) -> Callable[[float, Array], Array]:
@@ -109,19 +113,24 @@ class Model:
         return of
 
 
-def contact(name: str, p: Array, q: Array, into: Array) -> SwitchedPart:
-    """Return what adds into · max(0, min(p + q, 2 p)) to ż; p, q are rows (N,) of z.
+def touch(name: str, p: Array, q: Array, into: Array) -> SwitchedPart:
+    """Return what a `contact` with p and q, rows (N,) of z, adds to ż.
 
-    Example: spring alone, spring and damper, and a damper that is held to the force of the spring.
+    Example: spring and damper, and a damper that is held to the force of the spring.
 
-        >>> part = contact("stop", np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, -1.0, 0]))
-        >>> [float((part.F[k] @ [2.0, v, 1.0])[1]) for k, v in ((1, 0.0), (1, -1.0), (0, 5.0))]
+        >>> part = touch("stop", np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, -1.0, 0]))
+        >>> cells = [part.cells.index(name) for name in ("on", "on", "closing")]
+        >>> [float((part.F[k] @ [2.0, v, 1.0])[1]) for k, v in zip(cells, (0.0, -1.0, 5.0))]
         [-2.0, -1.0, -4.0]
     """
-    signs = np.array([[1, 0, 1], [0, 1, -1], [-1, 1, 0], [0, -1, 0]])
-    F = np.stack([np.outer(into, row) for row in (2 * p, p + q, 0 * p, 0 * p)])
-    cells = "held damper", "spring and damper", "apart", "pulled off"
-    return SwitchedPart(name=name, cells=cells, guards=np.stack([p, p + q, q - p]), signs=signs, F=F)
+    one, (spring, damper) = Real.of(1), (LinearForm(tuple(map(Real.of, row.tolist())), Real.of(0)) for row in (p, q))
+    direction = [Real.of(v) for v in into.tolist()]
+    element = Contact(
+        name=name, of=spring, rate=damper, stiffness=one, damping=one, upper=Real.of(0), direction=direction
+    )
+    F = np.stack([np.outer(into, form.row) for form in element.forms])
+    guards = np.stack([plane.row for plane in element.planes])
+    return SwitchedPart(name=name, cells=element.segments, guards=guards, signs=element.signs, F=F)
 
 
 TD, V_MAX, A_MAX = 1e-4, 2.0, 20.0  # s, m/s, m/s²

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pwatrack import PwatrackError, Result, design, load_spec, simulate
-from pwatrack.report.plots.elements import elements_of
+from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.report.stays import stays
 from pwatrack.spec.axis import axis
 
@@ -53,7 +53,8 @@ def _place(spec: Path, values: Mapping[str, float]) -> dict[str, Any]:
     """Return what came out at one place: a verdict, the element, and the run where there is a design."""
     loaded = load_spec(spec, dict(values))
     plant = loaded.problem.plant
-    (element, *_) = elements_of(plant)
+    (element, *_) = plant.elements
+    assert isinstance(element, Nonlinearity)
     marks = [float(mark) for mark in element.function.breakpoints]
     beside = 2 * (marks[-1] - marks[0]) or 1.0
     phi = [[s, float(element.function(s))] for s in (marks[0] - beside, *marks, marks[-1] + beside)]

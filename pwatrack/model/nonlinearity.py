@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
+from pwatrack.model.contact import Contact
+from pwatrack.model.linear_form import LinearForm, added
 from pwatrack.rational import rank
 from pwatrack.real import Real
 
@@ -127,12 +129,42 @@ class Nonlinearity:
     constant: Number  # of the linear form
     direction: Any  # (n,)
 
+    @property
+    def planes(self) -> list[LinearForm]:
+        """Forms that are 0 at its breakpoints."""
+        row = tuple(map(Real.of, self.row))
+        return [LinearForm(row, Real.of(self.constant) - s) for s in self.function.breakpoints]
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """A name for each segment."""
+        return self.function.segments
+
+    @cached_property
+    def forms(self) -> tuple[LinearForm, ...]:
+        """What φ(row · x + constant) is on each segment."""
+        of = LinearForm(tuple(map(Real.of, self.row)), Real.of(self.constant))
+        pieces = zip(self.function.slopes, self.function.intercepts, strict=True)
+        return tuple(of * slope + rest for slope, rest in pieces)
+
+    @cached_property
+    def alike(self) -> tuple[int, ...]:
+        """The first segment with the slope of each."""
+        return tuple(map(self.function.slopes.index, self.function.slopes))
+
+    @property
+    def signs(self) -> IntArray:
+        """Of its planes on each segment, (segments, planes)."""
+        count = len(self.function.breakpoints)
+        return 2 * np.tri(count + 1, count, -1, dtype=np.int64) - 1
+
+    def located(self, sides: IntArray) -> IntArray:
+        """Return its segment for each row of sides of its planes, (l, planes)."""
+        return np.asarray((sides > 0).sum(axis=1))
+
     def on(self, segment: int) -> tuple[BallMatrix, BallMatrix]:
         """Return what it adds to A, (n, n), and to b, (n, 1), on a segment of φ."""
-        slope, row = self.function.slopes[segment], BallMatrix.of([self.row])
-        offset = slope * Real.of(self.constant) + self.function.intercepts[segment]
-        across, along = (BallMatrix.of([[Real.of(v) * factor] for v in self.direction]) for factor in (slope, offset))
-        return across @ row, along
+        return added(self.direction, self.forms[segment])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,32 +211,39 @@ def drives_away(A: Array, element: Nonlinearity) -> list[int]:
 
 
 def generate_cells(
-    A: BallMatrix, b: BallMatrix, nonlinearities: Sequence[Nonlinearity]
+    A: BallMatrix, b: BallMatrix, elements: Sequence[Nonlinearity | Contact]
 ) -> tuple[Partition, list[BallMatrix], list[BallMatrix]]:
-    """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant).
+    """Return the cells, A_i (n, n) and b_i (n, 1) of ẋ = A x + b + Σ direction φ(row · x + constant), or of contacts.
 
     One cell for each combination of segments that has an interior: the regions that the hyperplanes of all
-    breakpoints cut ℝⁿ into. The field is continuous by construction, exactly. Raises InvalidSpec for too many cells.
+    breakpoints cut ℝⁿ into, joined where contacts do not tell them apart. The field is continuous by construction,
+    exactly. Raises InvalidSpec for too many cells.
     """
-    if not nonlinearities:
+    if not elements:
         return Partition.create(H=np.zeros((0, len(b.floats))), h=[], signs=[[]], names=["everywhere"]), [A], [b]
-    rows = [element.row for element in nonlinearities for _ in element.function.breakpoints]
-    offsets = [Real.of(element.constant) - s for element in nonlinearities for s in element.function.breakpoints]
-    regions = Partition.regions(H=np.array([list(row) for row in rows], dtype=object), h=offsets, most=_MOST_CELLS)
+    planes = [plane for element in elements for plane in element.planes]
+    rows, offsets = [list(plane.coefficients) for plane in planes], [plane.offset for plane in planes]
+    regions = Partition.regions(H=np.array(rows, dtype=object), h=offsets, most=_MOST_CELLS)
     sides = regions.sides(H=rows, h=offsets)
-    last = np.cumsum([len(element.function.breakpoints) for element in nonlinearities])[:-1]
-    combinations = np.array([(part > 0).sum(axis=1) for part in np.split(sides, last, axis=1)]).T
-    order = np.lexsort(combinations.T[::-1])
-    chosen = [tuple(combination) for combination in combinations[order].tolist()]
-    named = [[f"{element.name} {segment}" for segment in element.function.segments] for element in nonlinearities]
+    last = np.cumsum([len(element.planes) for element in elements])[:-1]
+    parts = zip(elements, np.split(sides, last, axis=1), strict=True)
+    combinations = np.array([element.located(part) for element, part in parts]).T
+    different, order = np.unique(combinations, axis=0, return_index=True)
+    chosen = [tuple(combination) for combination in different.tolist()]
+    named = [[f"{element.name} {segment}" for segment in element.segments] for element in elements]
     names = tuple(", ".join(own[k] for own, k in zip(named, c, strict=True)) for c in chosen)
-    slopes = [element.function.slopes for element in nonlinearities]
-    alike = [tuple(all_.index(all_[k]) for all_, k in zip(slopes, c, strict=True)) for c in chosen]
-    steps = [[element.on(k) for k in range(len(element.function.slopes))] for element in nonlinearities]
+    steps = [[element.on(k) for k in range(len(element.segments))] for element in elements]
+    alike = [tuple(element.alike[k] for element, k in zip(elements, c, strict=True)) for c in chosen]
+    if any(isinstance(element, Contact) for element in elements):
+        tables = [element.signs for element in elements]
+        signs = np.array([np.concatenate([table[k] for table, k in zip(tables, c, strict=True)]) for c in chosen])
+        partition = Partition.create(H=np.array(rows, dtype=object), h=offsets, signs=signs, names=names)
+    else:
+        partition = regions.ordered(order, names)
     return (
-        regions.ordered(order, names),
-        _sums(A, [[along for along, _ in step] for step in steps], alike),  # equal slopes share one matrix
-        _sums(b, [[across for _, across in step] for step in steps], chosen),
+        partition,
+        _sums(A, [[across for across, _ in step] for step in steps], alike),  # equal slopes share one matrix
+        _sums(b, [[along for _, along in step] for step in steps], chosen),
     )
 
 

@@ -12,9 +12,10 @@ from pwatrack.ball_matrix import BallMatrix, each, places, stack
 from pwatrack.ball_matrix import beside as sides
 from pwatrack.errors import OutsideTheory, Problem, ProblemPart, Remedy, Way
 from pwatrack.model.cells import Facet, Partition
+from pwatrack.model.contact import Contact
 from pwatrack.model.continuity import Discontinuity, Discontinuous, Repair, repaired
 from pwatrack.model.loads import Loads
-from pwatrack.model.nonlinearity import ScalarForm
+from pwatrack.model.nonlinearity import Nonlinearity, ScalarForm
 from pwatrack.rational import beside, on_entries
 
 _ONE_BEND = 1e-9  # of the largest entry of two A: what their difference is more than g Hᵀ, and counts as rounding
@@ -72,6 +73,7 @@ class PWASystem:
     repair: Repair | None = None  # by how much these differ from those given, which jump at a facet by rounding
     loads: Loads | None = None  # unknown loads E s that act on it beside these, where an observer shall estimate some
     written: ScalarForm | None = None  # the field as a sum of scalar elements, where it was written so
+    elements: tuple[Nonlinearity | Contact, ...] = ()  # as it was written, where it was written with any
     watched: "PWASystem | None" = None  # that of which this one has merged cells, where the observer runs it
     remarks: tuple[str, ...] = ()  # what was noticed while it was built, and changes nothing
 

@@ -13,20 +13,20 @@ these numbers, and what φ is where this number is 1 and the others are 0.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 from pwatrack.arrays import number_text
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject, Undecided
-from pwatrack.model.nonlinearity import PiecewiseLinear
+from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.signal import NotRepresentable
 from pwatrack.real import Box, Real
 from pwatrack.spec.expression import ExpressionError, real
 from pwatrack.spec.parametric import ParametricPlant
-from pwatrack.spec.plant_section import Element
+from pwatrack.spec.plant_section import Element, TouchSection
 from pwatrack.spec.wording import shown
 from pwatrack.spec.yaml_tree import path_text
 
@@ -202,20 +202,20 @@ class Dependence:
         """Yield each entry that an element adds to, and its pieces on each of its segments, where they vary."""
         at: Subject = ("nonlinearities", number)
         section = (self._parametric.nominal.nonlinearities or [])[number]
-        states, row = self._parametric.nominal.states, section.of
-        shapes = [(path, self._piece((*at, *path), value), unit) for path, value, unit in _units(section)]
-        found = defaultdict[Subject, list[list[Summand]]](lambda: [[] for _ in shapes[0][2].slopes])
+        states = self._parametric.nominal.states
+        shapes = [(path, self._piece((*at, *path), value), unit) for path, value, unit in _units(section, states)]
+        found = defaultdict[Subject, list[list[Summand]]](lambda: [[] for _ in shapes[0][2]])
         for state, written in section.into.items():
             j, factor = states.index(state), self._piece((*at, "into", state), written)
             for path, shape, unit in shapes:
                 q = factor.polynomial * shape.polynomial
                 if not any(q.terms):
                     continue  # the only product of powers in it is the empty one
-                said = (*at, *path) in self._varying or path[0] in section.model_fields_set
+                said = (*at, *path) in self._varying or not section.model_fields_set.isdisjoint(path[:1])
                 text = f"{factor.text} times {shape.text}" if said else factor.text
-                for segment, (slope, intercept) in enumerate(zip(unit.slopes, unit.intercepts, strict=True)):
-                    places: dict[Subject, Real] = {("A", j, k): slope * v for k, v in enumerate(row.coefficients)}
-                    places["b", j] = slope * row.offset + intercept
+                for segment, form in enumerate(unit):
+                    places: dict[Subject, Real] = {("A", j, k): v for k, v in enumerate(form.coefficients)}
+                    places["b", j] = form.offset
                     for place, coefficient in places.items():
                         if coefficient.centre or coefficient.radius:
                             found[place][segment].append(Summand(text, q * coefficient))
@@ -239,8 +239,14 @@ class Dependence:
         return f"{path_text(('system', *path))} = {text}"
 
 
-def _units(section: Element) -> Iterator[tuple[Subject, Real, PiecewiseLinear]]:
-    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others."""
+def _units(section: Element, states: Sequence[str]) -> Iterator[tuple[Subject, Real, Sequence[LinearForm]]]:
+    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others.
+
+    Of a contact, whose hyperplanes depend on all its numbers, it is what is in `into` alone.
+    """
+    if isinstance(section, TouchSection):
+        yield (), Real.of(1), section.element(states).forms
+        return
     given: dict[str, Any] = {name: v for name in _SHAPE if (v := getattr(section, name, None)) is not None}
     nothing = {name: [_ZERO] * len(value) if isinstance(value, list) else _ZERO for name, value in given.items()}
     for name, value in given.items():
@@ -249,7 +255,7 @@ def _units(section: Element) -> Iterator[tuple[Subject, Real, PiecewiseLinear]]:
             if isinstance(value, list):
                 one = [Real.of(int(j == k)) for j in range(len(value))]
             path = (name, k) if isinstance(value, list) else (name,)
-            yield path, entry, section.model_copy(update=nothing | {name: one}).function()
+            yield path, entry, section.model_copy(update=nothing | {name: one}).element(states).forms
 
 
 def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str, Any]:

@@ -23,9 +23,10 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core.core_schema import CoreSchema
 
+from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.signal import LARGEST, ExponentialPolynomial, NotRepresentable
 from pwatrack.real import Real
-from pwatrack.spec.expression import RESERVED, Expression, LinearForm, formula, inequalities, linear_form, real
+from pwatrack.spec.expression import RESERVED, Expression, formula, inequalities, linear_form, real
 from pwatrack.spec.section import Context, rows
 from pwatrack.spec.wording import odd_character, shown
 

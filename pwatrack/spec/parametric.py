@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from pwatrack.arrays import number_text
 from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
+from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.spec.expression import (
@@ -15,7 +16,6 @@ from pwatrack.spec.expression import (
     BrokenParameter,
     Expression,
     ExpressionError,
-    LinearForm,
     UnknownName,
     is_number,
     parsed,

@@ -11,6 +11,7 @@ from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Partition
+from pwatrack.model.contact import Contact
 from pwatrack.model.nonlinearity import (
     MOST_LISTED,
     Nonlinearity,
@@ -64,27 +65,61 @@ class HyperplaneSection(Section):
 
 
 class ElementSection(Section):
-    """What all scalar nonlinearities have: s = of, and d(state)/dt += factor φ(s) for each state in `into`."""
+    """What all nonlinearities have: s = of, and d(state)/dt += factor φ(s) for each state in `into`."""
 
     name: Label
     of: Form
     into: Annotated[dict[str, Exact], Field(min_length=1)]
 
-    def function(self) -> PiecewiseLinear:
-        """Return φ; a ValueError if its numbers make none."""
+    def element(self, states: Sequence[str]) -> Nonlinearity | Contact:
+        """Return what it adds; a ValueError if its numbers make nothing."""
         raise NotImplementedError
 
+    def restoring(self, states: Sequence[str]) -> Nonlinearity | None:
+        """Return φ, of a contact that of its spring, where it is one that should pull back."""
+        return None
+
+    def direction(self, states: Sequence[str]) -> list[Real]:
+        """Return the factor of each state, (n,)."""
+        return [self.into.get(state, Real.of(0)) for state in states]
+
     def rules(self, context: Context) -> Iterator[Fault]:
-        """Yield what it acts on that is no state, and numbers that make no φ."""
+        """Yield what it acts on that is no state, and numbers that make nothing."""
         try:
-            self.function()
+            self.element(context.states)
         except ValueError as error:
             yield Fault(f"nonlinearity '{self.name}': {error}")
         for state, meant in unknown_names(self.into, context.states) if context.states else ():
             yield Fault(f"nonlinearity '{self.name}': {shown(state)} is no state{meant}", ("into",), key=(state,))
 
 
-class DeadZoneSection(ElementSection):
+class ScalarSection(ElementSection):
+    """One with a function of s alone."""
+
+    def function(self) -> PiecewiseLinear:
+        """Return φ; a ValueError if its numbers make none."""
+        raise NotImplementedError
+
+    def element(self, states: Sequence[str]) -> Nonlinearity:
+        """Return what it adds; a ValueError if its numbers make nothing."""
+        return Nonlinearity(
+            name=self.name,
+            function=self.function(),
+            row=self.of.coefficients,
+            constant=self.of.offset,
+            direction=self.direction(states),
+        )
+
+
+class RestoringSection(ScalarSection):
+    """One that should pull back what it looks at."""
+
+    def restoring(self, states: Sequence[str]) -> Nonlinearity:
+        """Return φ."""
+        return self.element(states)
+
+
+class DeadZoneSection(RestoringSection):
     """φ = 0 in [lower, upper], lines outside; a pair of elastic stops is the same."""
 
     model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
@@ -103,7 +138,7 @@ class DeadZoneSection(ElementSection):
         return dead_zone(lower=self.lower, upper=self.upper, lower_slope=left, upper_slope=right)
 
 
-class SaturationSection(ElementSection):
+class SaturationSection(ScalarSection):
     """φ(s) = slope · clip(s, lower, upper)."""
 
     model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
@@ -118,7 +153,7 @@ class SaturationSection(ElementSection):
         return saturation(lower=self.lower, upper=self.upper, slope=self.slope)
 
 
-class SpringSection(ElementSection):
+class SpringSection(RestoringSection):
     """φ(s) = slope · max(0, s − start)."""
 
     kind: Literal["spring"]
@@ -130,7 +165,7 @@ class SpringSection(ElementSection):
         return spring(start=self.start, slope=self.slope)
 
 
-class AbsoluteSection(ElementSection):
+class AbsoluteSection(ScalarSection):
     """φ(s) = slope · |s|."""
 
     kind: Literal["absolute"]
@@ -141,7 +176,7 @@ class AbsoluteSection(ElementSection):
         return absolute(slope=self.slope)
 
 
-class PiecewiseLinearSection(ElementSection):
+class PiecewiseLinearSection(ScalarSection):
     """φ with free breakpoints and slopes."""
 
     kind: Literal["piecewise_linear"]
@@ -154,8 +189,69 @@ class PiecewiseLinearSection(ElementSection):
         return piecewise_linear(breakpoints=self.breakpoints, slopes=self.slopes, value=self.value)
 
 
+class TouchSection(ElementSection):
+    """A spring with a damper that only push: max(0, min(p + q, 2 p)), p of the spring and q of the damper."""
+
+    rate: Form
+    stiffness: Exact
+    damping: Exact
+
+    def restoring(self, states: Sequence[str]) -> Nonlinearity:
+        """Return the spring, without gap and damper."""
+        return Nonlinearity(
+            name=self.name,
+            function=piecewise_linear(breakpoints=[0], slopes=[self.stiffness, self.stiffness]),
+            row=self.of.coefficients,
+            constant=self.of.offset,
+            direction=self.direction(states),
+        )
+
+
+class ContactSection(TouchSection):
+    """A contact from start on."""
+
+    kind: Literal["contact"]
+    start: Exact = Real.of(0)
+
+    def element(self, states: Sequence[str]) -> Contact:
+        """Return what it adds; a ValueError if its numbers make nothing."""
+        return Contact(
+            name=self.name,
+            of=self.of,
+            rate=self.rate,
+            stiffness=self.stiffness,
+            damping=self.damping,
+            upper=self.start,
+            direction=self.direction(states),
+        )
+
+
+class ElastoBacklashSection(TouchSection):
+    """A contact on either side of a gap."""
+
+    model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
+
+    kind: Literal["elasto_backlash"]
+    lower: Exact
+    upper: Exact
+
+    def element(self, states: Sequence[str]) -> Contact:
+        """Return what it adds; a ValueError if its numbers make nothing."""
+        return Contact(
+            name=self.name,
+            of=self.of,
+            rate=self.rate,
+            stiffness=self.stiffness,
+            damping=self.damping,
+            lower=self.lower,
+            upper=self.upper,
+            direction=self.direction(states),
+        )
+
+
+ScalarElement = DeadZoneSection | SaturationSection | SpringSection | AbsoluteSection | PiecewiseLinearSection
 Element = Annotated[
-    DeadZoneSection | SaturationSection | SpringSection | AbsoluteSection | PiecewiseLinearSection,
+    ScalarElement | ContactSection | ElastoBacklashSection,
     Field(discriminator="kind"),
 ]
 
@@ -230,19 +326,21 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
     A: Any
     b: Any
     odd: list[str] = []
-    written = None
+    written, elements = None, list[Nonlinearity | Contact]()
     if system.cells is None:
-        elements = [_element(section, system.states) for section in system.nonlinearities or []]
+        sections = system.nonlinearities or []
+        elements = [section.element(system.states) for section in sections]
         n = len(system.states)
         base = BallMatrix.of(system.A, (n, n)), BallMatrix.of([[v] for v in system.b or [Real.of(0)] * n], (n, 1))
-        written = ScalarForm(A=base[0], b=base[1], elements=tuple(elements))
+        scalar = tuple(one for one in elements if isinstance(one, Nonlinearity))
+        written = ScalarForm(A=base[0], b=base[1], elements=scalar) if len(scalar) == len(elements) else None
         partition, A, b = generate_cells(*base, elements)
         if len(A) > MOST_LISTED:
             odd.append(
                 f"{len(A):,} cells, of which no tables are written: there is no generator.json and no controller.json"
             )
-        for section, element in zip(system.nonlinearities or [], elements, strict=True):
-            odd += _oddities(system, element, restoring=isinstance(section, SpringSection | DeadZoneSection))
+        for section in sections:
+            odd += _oddities(system, section)
     else:
         partition = _partition(system, system.cells)
         A = [cell.A for cell in system.cells]
@@ -261,23 +359,31 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         tolerance=tolerance,
         continuous=system.cells is None,
     )
-    return replace(plant, written=written, remarks=(*plant.remarks, *odd))
+    return replace(plant, written=written, elements=tuple(elements), remarks=(*plant.remarks, *odd))
 
 
-def _oddities(system: SystemSection, element: Nonlinearity, *, restoring: bool) -> list[str]:
+def _oddities(system: SystemSection, section: Element) -> list[str]:
     """Say what is odd about an element, which changes nothing: it acts on nothing, or pushes where it should pull."""
-    d, slopes = np.array([float(v) for v in element.direction]), any(map(float, element.function.slopes))
-    if not d.any() or not slopes:
-        return [f"nonlinearity '{element.name}' acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
-    wrong = drives_away(_doubles(system.A or []), element) if restoring else []
-    if not wrong:
-        return []
-    back = ", ".join(f"{system.states[j]}: {number_text(-d[j])}" for j in wrong)
-    of = linear_form_text(np.array([float(v) for v in element.row]), system.states)
-    return [
-        f"nonlinearity '{element.name}' pushes {of} on, away from where it acts: "
-        f"write into: {{{back}}} if it should pull it back"
-    ]
+    element, n = section.element(system.states), len(system.states)
+    d = np.array([float(v) for v in element.direction])
+    said = f"nonlinearity '{element.name}'"
+    if not d.any() or not any(element.on(k)[0].centre for k in range(len(element.segments))):
+        return [f"{said} acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
+    found, A = list[str](), BallMatrix.of(system.A or [], (n, n))
+    restoring = section.restoring(system.states)
+    wrong = drives_away(A.floats, restoring) if restoring else []
+    if wrong:
+        back = ", ".join(f"{system.states[j]}: {number_text(-d[j])}" for j in wrong)
+        of = linear_form_text(section.of.row, system.states)
+        found.append(
+            f"{said} pushes {of} on, away from where it acts: write into: {{{back}}} if it should pull it back"
+        )
+    if isinstance(section, TouchSection):
+        moves = BallMatrix.of([section.of.coefficients]) @ A
+        if moves.centre != BallMatrix.of([section.rate.coefficients]).centre:
+            rate, really = (linear_form_text(row, system.states) for row in (section.rate.row, moves.floats[0]))
+            found.append(f"{said} has rate: {rate}, and d/dt of what it looks at is {really or 'not of the states'}")
+    return found
 
 
 def _tracked_rows(system: SystemSection) -> list[Any] | None:
@@ -321,16 +427,6 @@ def _partition(system: SystemSection, cells: Sequence[CellSection]) -> Partition
         h=h,
         signs=signs,
         names=[cell.name for cell in cells],
-    )
-
-
-def _element(section: ElementSection, states: Sequence[str]) -> Nonlinearity:
-    return Nonlinearity(
-        name=section.name,
-        function=section.function(),
-        row=section.of.coefficients,
-        constant=section.of.offset,
-        direction=[section.into.get(state, Real.of(0)) for state in states],
     )
 
 

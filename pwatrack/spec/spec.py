@@ -13,11 +13,11 @@ from pwatrack.control.words import Words
 from pwatrack.errors import Place, PwatrackError, Subject
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Role, Solver
 from pwatrack.model.conditions import Conditions
+from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import OutputReference, Reference
 from pwatrack.real import Box
 from pwatrack.simulation.region import Region
-from pwatrack.spec.expression import LinearForm
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.requirement import RANGES, Requirement
 from pwatrack.spec.spelling import located

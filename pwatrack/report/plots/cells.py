@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from pwatrack.arrays import Array, IntArray
+from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.figures import percent
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
 from pwatrack.report.stays import stays
-from pwatrack.spec.expression import LinearForm
 from pwatrack.workflow.result import SimulatedLoop
 
 

@@ -1,4 +1,4 @@
-"""The scalar nonlinearities of a plant: each φ(s) with its slopes, what it adds to which rate, and where a run was."""
+"""The nonlinearities of a plant: each φ(s) with its slopes, what it adds to which rate, and where a run was."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -12,9 +12,12 @@ from matplotlib.figure import Figure
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.words import per_second
 from pwatrack.errors import InvalidSpec
+from pwatrack.model.contact import Contact
+from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem, linear_form_text
-from pwatrack.report.plots.canvas import ACTUAL, label, plain, png, sheet
+from pwatrack.real import Real
+from pwatrack.report.plots.canvas import ACTUAL, DESIRED, ESTIMATE, label, plain, png, sheet
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.spec.spec import Spec
 
@@ -23,26 +26,23 @@ _BEYOND = 0.25  # of what is to be seen, on either side of it
 _LETTERS = 48  # in a line above a panel, of two beside each other: 8 points each
 _LINE = 0.15  # inches of such a line
 _PANEL = 1.9  # inches
+_STYLES = ACTUAL, DESIRED, ESTIMATE  # of a contact at rest, closing and leaving
+_POINTS = 400  # of its curves
 
 
 def write_nonlinearities(path: Path, spec: Spec) -> None:
     """Draw the nonlinearities of a spec into a file; raises InvalidSpec if there are none, or it cannot be written."""
     plant = spec.problem.plant
-    if not elements_of(plant):
+    if not plant.elements:
         raise InvalidSpec("--picture: the plant is written by its cells, there is no φ(s) to draw")
     figure = nonlinearities(spec.name, plant, spec.problem.units)
     with written_at_once(path) as temporary:
         temporary.write_bytes(png(figure))
 
 
-def elements_of(plant: PWASystem) -> Sequence[Nonlinearity]:
-    """Return the nonlinearities that a plant is written with; none of one that is written by its cells."""
-    return () if plant.written is None else plant.written.elements
-
-
 def nonlinearities(name: str, plant: PWASystem, units: Mapping[str, str], x: Array | None = None) -> Figure:
     """Draw each φ(s) of a plant that has some; with states of a run, (K, n), also where it was."""
-    found = elements_of(plant)
+    found = plant.elements
     elements, more = found[:_MOST], max(0, len(found) - _MOST)
     columns = min(2, len(elements))
     texts = [_texts(element, plant, units, _LETTERS * 2 // columns) for element in elements]
@@ -59,11 +59,14 @@ def nonlinearities(name: str, plant: PWASystem, units: Mapping[str, str], x: Arr
     return figure
 
 
-def _draw(axes: Axes, element: Nonlinearity, plant: PWASystem, units: Mapping[str, str], x: Array | None) -> None:
-    marks, row = [float(mark) for mark in element.function.breakpoints], np.array([float(v) for v in element.row])
+def _draw(
+    axes: Axes, element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str, str], x: Array | None
+) -> None:
+    of, touches = _of(element), isinstance(element, Contact)
+    marks = [float(mark) for mark in _marks(element)]
     seen = [*marks, 0.0] if len(marks) == 1 else list(marks)
     if x is not None:
-        s = x @ row + float(element.constant)
+        s = x @ of.row + of.constant
         ends = float(s.min()), float(s.max())
         axes.axvspan(*ends, color="0.9", linewidth=0)
         seen += ends
@@ -72,12 +75,30 @@ def _draw(axes: Axes, element: Nonlinearity, plant: PWASystem, units: Mapping[st
     points = [low - room, *marks, high + room]
     for mark in marks:
         axes.axvline(mark, color="0.45", linewidth=0.8, linestyle=":")
-    axes.plot(points, [element.function(s) for s in points], **ACTUAL)
-    unit = _unit(element, plant, units)
-    label(axes, plain(f"s = {_form(element, plant)}{f' ({unit})' if unit else ''}"), "φ(s)", points)
+    unit = _unit(of, plant, units)
+    if isinstance(element, Contact):
+        rates = _rates(element, room, x)
+        unit_of_rate = _unit(element.rate, plant, units)
+        for rate, style in zip(rates, _STYLES, strict=True):
+            fine = np.linspace(points[0], points[-1], _POINTS)
+            said = f"ṡ = {number_text(rate, '.2g')} {unit_of_rate}".rstrip()
+            axes.plot(fine, [element(float(s), rate) for s in fine], label=said, **style)
+        axes.legend(fontsize=7, frameon=False)
+    else:
+        axes.plot(points, [element.function(s) for s in points], **ACTUAL)
+    text = f"s = {_form(of, plant)}{f' ({unit})' if unit else ''}"
+    label(axes, plain(text), "φ(s, ṡ)" if touches else "φ(s)", points)
 
 
-def _texts(element: Nonlinearity, plant: PWASystem, units: Mapping[str, str], letters: int) -> str:
+def _rates(element: Contact, room: float, x: Array | None) -> tuple[float, float, float]:
+    """Return at which speeds a contact is drawn: at rest, and either way with a quarter of the largest of a run."""
+    rate = float(element.stiffness) * room / float(element.damping) / 2
+    if x is not None:
+        rate = float(np.abs(x @ element.rate.row + element.rate.constant).max()) / 4 or rate
+    return 0.0, rate, -rate
+
+
+def _texts(element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str, str], letters: int) -> str:
     """Return what is said above a panel: the name, what φ adds to which rate, and its slope in each cell."""
     added = [
         f"{number_text(float(d), '.4g')} φ to d{name}/dt{f' ({unit})' if unit else ''}"
@@ -85,20 +106,38 @@ def _texts(element: Nonlinearity, plant: PWASystem, units: Mapping[str, str], le
         for unit in [per_second(units.get(name, ""))]
         if float(d)
     ]
-    slopes = zip(element.function.segments, element.function.slopes, strict=True)
-    said = ", ".join(f"{segment}: {number_text(float(slope), '.6g')}" for segment, slope in slopes)
-    unit = _unit(element, plant, units)
-    lines = [f"{element.name} adds {', '.join(added)}", f"slopes of φ{f' per {unit}' if unit else ''}: {said}"]
+    lines = [f"{element.name} adds {', '.join(added)}"]
+    if isinstance(element, Contact):
+        stiffness, damping = (number_text(float(v), ".6g") for v in (element.stiffness, element.damping))
+        lines.append(f"φ pushes and never pulls: stiffness {stiffness}, damping {damping}")
+    else:
+        slopes = zip(element.function.segments, element.function.slopes, strict=True)
+        said = ", ".join(f"{segment}: {number_text(float(slope), '.6g')}" for segment, slope in slopes)
+        unit = _unit(_of(element), plant, units)
+        lines.append(f"slopes of φ{f' per {unit}' if unit else ''}: {said}")
     return "\n".join(part for line in lines for part in textwrap.wrap(line, letters, max_lines=3, placeholder=" …"))
 
 
-def _unit(element: Nonlinearity, plant: PWASystem, units: Mapping[str, str]) -> str:
-    """Return the unit of s, where it has one."""
-    found = {units.get(name, "") for name, v in zip(plant.states, element.row, strict=True) if float(v)}
+def _of(element: Nonlinearity | Contact) -> LinearForm:
+    """Return s."""
+    if isinstance(element, Contact):
+        return element.of
+    return LinearForm(tuple(map(Real.of, element.row)), Real.of(element.constant))
+
+
+def _marks(element: Nonlinearity | Contact) -> Sequence[Real]:
+    """Return where φ bends at rest."""
+    if isinstance(element, Contact):
+        return [element.upper] if element.lower is None else [element.lower, element.upper]
+    return element.function.breakpoints
+
+
+def _unit(form: LinearForm, plant: PWASystem, units: Mapping[str, str]) -> str:
+    """Return the unit of a form, where it has one."""
+    found = {units.get(name, "") for name, v in zip(plant.states, form.coefficients, strict=True) if float(v)}
     return found.pop() if len(found) == 1 else ""
 
 
-def _form(element: Nonlinearity, plant: PWASystem) -> str:
-    row, constant = np.array([float(v) for v in element.row]), float(element.constant)
-    text = linear_form_text(row, plant.states)
+def _form(form: LinearForm, plant: PWASystem) -> str:
+    text, constant = linear_form_text(form.row, plant.states), form.constant
     return f"{text} {'-' if constant < 0 else '+'} {abs(constant):.6g}" if constant else text

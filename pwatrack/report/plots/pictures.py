@@ -6,7 +6,7 @@ from functools import partial
 from matplotlib.figure import Figure
 
 from pwatrack.report.plots.cells import active_cells, portrait
-from pwatrack.report.plots.elements import elements_of, nonlinearities
+from pwatrack.report.plots.elements import nonlinearities
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
 from pwatrack.workflow.result import SimulatedLoop
@@ -33,7 +33,7 @@ def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
         of_result["estimates.png"] = estimates
     found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
     problem = result.spec.problem
-    if elements_of(problem.plant):
+    if problem.plant.elements:
         draw = partial(nonlinearities, result.spec.name, problem.plant, problem.units, result.response.x)
         found["nonlinearities.png"] = draw
     for k, forms in enumerate(result.spec.scenario.portraits, 1):
