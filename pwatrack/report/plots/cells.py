@@ -16,6 +16,8 @@ from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label
 from pwatrack.report.stays import stays
 from pwatrack.workflow.result import SimulatedLoop
 
+_HAIR = 0.5  # points: a stay that is shorter than a dot is seen all the same
+
 
 def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Figure:
     """Draw two linear forms of the plant's state against each other, with the facets and cells that can be seen there.
@@ -87,7 +89,7 @@ def active_cells(result: SimulatedLoop) -> Figure:
     figure, panels = canvas(result, title, mosaic, height=1.4 + sum(heights), ratios=heights)
     for axes, (part, rows) in zip(panels, parts, strict=True):
         for row, stay in enumerate(rows):
-            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=0)
+            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=_HAIR, snap=False)
         names = [f"{plain(stay.name)}  {percent(stay.share)}" for stay in rows]
         axes.set_yticks(range(len(rows)), names, fontsize=8)
         axes.set_ylim(len(rows) - 0.4, -0.6)

@@ -98,6 +98,8 @@ def _magnitude(axes: Axes, result: SimulatedLoop, size: Array, bound: Array | No
     t, floor = result.response.t, ROUNDING * np.abs(result.response.x).max()
     if bound is not None and (above := bound > floor).any():
         axes.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **BOUND)
+    if not (size > 0).any():
+        axes.text(0.5, 0.5, "0 at all times, in the simulation", transform=axes.transAxes, ha="center", fontsize=9)
     axes.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **ACTUAL)
     low, high = axes.get_ylim()
     if low < floor:
