@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.batch.run import run_batch
+from pwatrack.report.terminal import told
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.workflow.outcome import grows
@@ -314,3 +315,13 @@ def test_the_outcome_does_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: 
     whole = simulate(load_spec(path)).outcome
     monkeypatch.setattr("pwatrack.workflow.pipeline.MOST_KEPT", 37)
     assert simulate(load_spec(path)).outcome == whole
+
+
+def test_too_little_memory_is_no_bug_and_says_what_was_too_large() -> None:
+    try:
+        np.empty(10**17)
+    except MemoryError as error:
+        code, (said, hint) = told(error)
+    assert code == 1
+    assert re.fullmatch(r"error: out of memory: Unable to allocate .* \(test_outcome.py:\d+\) \[P100\]", said)
+    assert "fewer states" in hint

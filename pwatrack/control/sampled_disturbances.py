@@ -28,7 +28,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, above, zero
@@ -70,7 +70,7 @@ def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where
     """
     step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
     if channel[0] == "noise":
-        ticks = lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
+        ticks = scipy.signal.lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
         return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
     if tube.summed:
         return faded(acts.means[channel] * where * step, tube.a / 2 * step)
@@ -84,7 +84,7 @@ def faded(added: Array, fall: float) -> Array:
         >>> faded(np.array([1.0, 0.0, 1.0]), np.log(2)).round(2).tolist()
         [1.0, 1.0, 1.5]
     """
-    after = lfilter([1.0], [1.0, -np.exp(-fall)], added)
+    after = scipy.signal.lfilter([1.0], [1.0, -np.exp(-fall)], added)
     return np.asarray((np.append(0.0, after[:-1]) + added) * OVER_POWERS)
 
 
