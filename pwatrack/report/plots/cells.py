@@ -83,7 +83,8 @@ def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], b
 def active_cells(result: SimulatedLoop) -> Figure:
     """Draw which cell plant, observer and generator are in, and at which limit an input is, over time; and how much."""
     parts = list(stays(result, COLUMNS))
-    title = f"Active cells, with the share of the time in each: {result.figures.mode_changes} changes"
+    count = result.figures.mode_changes
+    title = f"Active cells, with the share of the time in each: {count} change{'s' * (count != 1)}"
     heights = [max(0.9, 0.3 + 0.22 * len(rows)) for _, rows in parts]
     mosaic = [[k] for k in range(len(parts))]
     figure, panels = canvas(result, title, mosaic, height=1.4 + sum(heights), ratios=heights)
