@@ -8,6 +8,7 @@ which one row alone is 1: with the unit vectors ε_k of these columns (A_i − A
 is left is driven, with `sampled_error`, by scalars, each as large as it likes:
 
     ("disturbance", k)   d in the k-th state equation: e' + d ε_k and all Δ' − d ε_k, so that ρ' is what it was
+    ("deviation", k)     likewise with E_k in place of ε_k: what merging leaves out of the k-th element
     ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d; where
                          inputs are late only (Δ_0, σ_0)⁺
     ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
@@ -96,8 +97,8 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         M = BallMatrix.of(errors.gains.M[:, [k]])
         kick = zero(m, 1) if errors.gains.delay else BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
         return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(order - n - m - N, 1)))
-    if kind == "disturbance":
-        one = _unit(n, k)
+    if kind in ("disturbance", "deviation"):
+        one = _unit(n, k) if kind == "disturbance" else errors.deviations[k][0]
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":

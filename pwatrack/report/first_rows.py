@@ -85,7 +85,7 @@ def _conditions(result: SimulatedLoop) -> Iterator[str]:
 def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
     """Yield what is proved with what the file declares, and margins of each cell beside those of the proofs."""
     words, margins = spec.words, worst(assessment.margins)
-    if assessment.acting:
+    if assessment.acting or assessment.ends:
         tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
         bounds = ", ".join(words.limits(tracked)) or "no bound is proved"
         yield "in the end", f"{bounds} {assessment.condition}"
