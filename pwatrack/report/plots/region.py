@@ -1,5 +1,7 @@
 """From where errors go to 0 although inputs are limited: what is proved, and how members of an ensemble went."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,6 +11,8 @@ from pwatrack.workflow.variation import EnsembleResult, sections
 
 _POINTS = 400  # of an ellipse
 _ROOM = 1.05  # of what is shown: so much of the plane
+_SMALL: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": "0.45", "linewidths": 0.8}
+_OFF: dict[str, Any] = {"s": 16, "marker": "x", "color": "#a3195b", "linewidths": 0.9}
 _STYLES = {"goes to 0, limits reached or not": ACTUAL, "no limit is reached": BOUND}
 
 
@@ -20,24 +24,9 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
     figure, (axes,) = canvas(result, title, [[0]], height=5.6)
     starts = np.column_stack([many.variation.values[name] for name in names]) - result.response.x_d[0, plane]
     small = np.array([one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes])
-    axes.scatter(
-        starts[small, 0],
-        starts[small, 1],
-        s=12,
-        facecolors="none",
-        edgecolors="0.45",
-        linewidths=0.8,
-        label="gets small",
-    )
-    axes.scatter(
-        starts[~small, 0],
-        starts[~small, 1],
-        s=16,
-        marker="x",
-        color="#a3195b",
-        linewidths=0.9,
-        label="does not, in this run",
-    )
+    for which, said, style in ((small, "gets small", _SMALL), (~small, "does not, in this run", _OFF)):
+        if which.any():
+            axes.scatter(starts[which, 0], starts[which, 1], label=said, **style)
     angles = np.linspace(0, 2 * np.pi, _POINTS)
     circle, seen = np.column_stack([np.cos(angles), np.sin(angles)]), [starts]
     for said, C in sections(result.controller, plane):
