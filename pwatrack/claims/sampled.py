@@ -159,8 +159,6 @@ def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:
 
 def _beyond(controller: ProvedController, gains: SampledGains) -> str:
     """Return why nothing is tried; "" where it is."""
-    if controller.plant.watched is not None:
-        return "the observer runs all cells of the plant, and the rest of the design merged ones"
     plant, square = controller.plant, len(controller.plant.tracked) == controller.plant.B.shape[1]
     if plant.loads is not None and (plant.loads.inputs(plant.exact.B) is None or not (square or not controller.form)):
         return "loads that are estimated do not only act at inputs, one for each tracked output"

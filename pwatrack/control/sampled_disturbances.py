@@ -8,7 +8,8 @@ which one row alone is 1: with the unit vectors ε_k of these columns (A_i − A
 is left is driven, with `sampled_error`, by scalars, each as large as it likes:
 
     ("disturbance", k)   d in the k-th state equation: e' + d ε_k and all Δ' − d ε_k, so that ρ' is what it was
-    ("deviation", k)     likewise with E_k in place of ε_k: what merging leaves out of the k-th element
+    ("deviation", k)     likewise with E_k in place of ε_k: what merging leaves out of the k-th element; where all cells
+                         are predicted, in e' and all ρ' alone
     ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d; where
                          inputs are late only (Δ_0, σ_0)⁺
     ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
@@ -99,6 +100,8 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(order - n - m - N, 1)))
     if kind in ("disturbance", "deviation"):
         one = _unit(n, k) if kind == "disturbance" else errors.deviations[k][0]
+        if kind == "deviation" and errors.plant.watched is not None:
+            return Drive(held=nothing, between=above(one, zero(m + d * N, 1), *d * [errors.R @ one]))
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":

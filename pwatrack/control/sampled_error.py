@@ -27,8 +27,9 @@ A tick that comes λ h after the one before finds x̃ predicted for h all the sa
 from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else 1 − λ multiplies is x_d'.
 
 ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n,
-steps of the generator beside (15), and what merged cells leave out act from outside. Of other loads ŝ would move x_d
-and ω: nothing is said of these.
+steps of the generator beside (15), and what merged cells leave out act from outside. Where the program predicts all
+cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all. Of other loads ŝ would move
+x_d and ω: nothing is said of these.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,18 +54,20 @@ class SampledErrors:
     """What z = (e, ν, (Δ_i, σ_i) …, ρ_i …) of a sampled loop obeys.
 
     Attributes:
-        plant: What runs, and what the program predicts.
+        plant: What runs; the program predicts it, or where it is `watched` that one.
         gains: Of the program.
         cells: A_i that have those of all cells in their hull.
-        changes: A_a − A_b, likewise.
+        seen: A_j of what is predicted, likewise.
+        changes: A_a − A_b of these, likewise.
         R: Rows that span the rows of these, each with a column in which it alone is 1.
         deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
-            at most; the program predicts with merged cells too.
+            at most.
     """
 
     plant: PWASystem
     gains: SampledGains
     cells: Sequence[BallMatrix]
+    seen: Sequence[BallMatrix]
     changes: Sequence[BallMatrix]
     R: BallMatrix
     deviations: Sequence[tuple[BallMatrix, float]] = ()
@@ -75,9 +78,10 @@ class SampledErrors:
     ) -> "SampledErrors":
         """Find cells and changes that the others are means of."""
         cells = outermost_cells(plant)
-        changes = outermost([one - other for one, other in permutations(cells, 2)])
-        R = held_rows(changes, plant.B.shape[0])
-        return cls(plant=plant, gains=gains, cells=cells, changes=changes, R=R, deviations=deviations)
+        seen = cells if plant.watched is None else outermost_cells(plant.watched)
+        changes, own = (outermost([one - other for one, other in permutations(each, 2)]) for each in (seen, cells))
+        R = held_rows(changes if plant.watched is None else [*changes, *own], plant.B.shape[0])
+        return cls(plant=plant, gains=gains, cells=cells, seen=seen, changes=changes, R=R, deviations=deviations)
 
     @property
     def predicted(self) -> int:
@@ -106,6 +110,13 @@ class SampledErrors:
         cells = different(self.plant.exact.A)
         return reduce(BallMatrix.__add__, cells).times(Fraction(1, len(cells)))
 
+    @cached_property
+    def differing(self) -> list[int]:
+        """Rows of R in whose columns some A_i differs from the mean."""
+        rows, off = range(self.plant.B.shape[0]), [A - self.mean for A in self.cells]
+        columns = [[X.part(rows, [j]) for X in off] for j in pivots(self.R.centre)]
+        return [k for k, each in enumerate(columns) if any(X.radius or any(X.centre.entries()) for X in each)]
+
     @property
     def paces(self) -> list[Fraction]:
         """λ: the shortest and the longest time between ticks, as a share of h."""
@@ -130,7 +141,7 @@ class SampledErrors:
         """Return what they obey between ticks that are a share of h apart."""
         plant, d, (n, m, N, *_), found = self.plant, self.predicted, self.widths, list[BallMatrix]()
         loads = plant.loads
-        seen = self.cells if loads is None else [loads.observed(A) for A in self.cells]
+        seen = self.seen if loads is None else [loads.observed(A) for A in self.seen]
         minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
         pushes = [change.part(range(n), pivots(self.R.centre)) for change in self.changes] or [zero(n, 0)]
         for A_i in self.cells:

@@ -97,7 +97,7 @@ def _work(errors: SampledErrors) -> int:
 
 def _inequalities(errors: SampledErrors) -> int:
     """Return how many there are between ticks, for one segment in each substep."""
-    of_each = len(errors.cells) * max(1, len(errors.changes))
+    of_each = len(errors.seen) * max(1, len(errors.changes))
     return int(2 * errors.parts * len(errors.paces) * len(errors.cells) * of_each**errors.predicted)
 
 
@@ -106,7 +106,9 @@ def _least_work(plant: PWASystem, gains: SampledGains) -> int:
 
     There are as many of these as cells at least: a hull of differences has no fewer corners than the hull.
     """
-    cells = len(plant.hull) if len(plant.hull) > _MOST_CELLS else len(outermost_cells(plant))
+    of = plant.model
+    cells = len(of.hull) if len(of.hull) > _MOST_CELLS else len(outermost_cells(of))
     parts, predicted = gains.substeps if cells > 1 else 1, max(1, gains.delay)
     order = sum(plant.B.shape) + predicted * (plant.observed.C.shape[1] + (cells > 1))
-    return int(2 * parts * cells ** (1 + 2 * predicted) * order**2)
+    own = cells if plant.watched is None else 1
+    return int(2 * parts * own * cells ** (2 * predicted) * order**2)

@@ -83,7 +83,9 @@ def acting(
         for k, steps in enumerate((conditions.quanta.inputs / 2).tolist()):
             squares["input", k] = np.full(count, steps**2)
             beside["input", k] = beside["input", k] + steps
-    return replace(found, squares={channel: each for channel, each in squares.items() if each.any()}, beside=beside)
+    idle = {("nominal", k) for k in range(errors.R.shape[0])} - {("nominal", k) for k in errors.differing}
+    acts = {channel: each for channel, each in squares.items() if each.any() and channel not in idle}
+    return replace(found, squares=acts, beside=beside)
 
 
 def _outside(
@@ -134,7 +136,7 @@ class _Walk:
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
-        count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.partition.H
+        count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.model.partition.H
         signals = m + len(self._tracked)
         squares, areas, first = np.zeros((count, 2 * q + self._n)), np.zeros((count, 2 * q)), 0
         most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
@@ -170,7 +172,7 @@ class _Walk:
 
         They are R e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, and (x_d + e₀)' less A₀ ε_k R_k e₀.
         """
-        n, m, q, planes = self._n, self._m, self._q, self._plant.partition
+        n, m, q, planes = self._n, self._m, self._q, self._plant.model.partition
         u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
         p, R, H, C, B = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B
         of_planes = H @ x_d

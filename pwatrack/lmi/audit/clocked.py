@@ -7,6 +7,7 @@ from typing import Any
 from .balls import Ball, enlarge, falls, sides, sizes, stacked
 from .bounds import Loop
 from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
+from .plant import AuditedPlant
 from .reading import number, packed
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
@@ -23,12 +24,10 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
     """Return what is wrong with the proof of the sampled loop, and what it claims."""
     if content is None:
         return [], []
-    if whole["practical"] is not None and whole["practical"]["observer_runs"] != "merged cells":
-        raise AuditFault("the sampled loop is proved where the program runs the cells of the design only")
     h, rate = number(content["sample_time"]), number(content["rate"])
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
-    errors = AuditedErrors(content, loop)
+    errors = AuditedErrors(content, loop, predicted(whole))
     forms, parts = [packed(P) for P in content["P"]], content["substeps"] if errors.changes else 1
     knots, rest = divmod(len(forms), parts)
     if rest or knots < 2 or any(len(P) != errors.order for P, _ in forms):
@@ -46,6 +45,12 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
                 faults.append("its form does not fall fast enough between ticks")
     said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(turned)} flows"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(forms)} knots"]
+
+
+def predicted(whole: Any) -> AuditedPlant | None:
+    """Return the plant that a program predicts, where it is not that of the design, whose cells are merged."""
+    split = whole["practical"]
+    return None if split is None or split["observer_runs"] == "merged cells" else AuditedPlant(split["plant"])
 
 
 def shrinks(jump: Ball, after: Form, before: Form) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 from .balls import Ball, sides, stacked, unlike
 from .bounds import Loop
 from .matrices import AuditFault, identity
+from .plant import AuditedPlant
 from .reading import matrix, number
 from .vertices import outermost, within
 
@@ -20,15 +21,17 @@ class AuditedErrors:
 
     The observer's are those of what was predicted for now from the last max(delay, 1) ticks, each with a rho. In the
     time of the program e' is pace times d = A_i e + B nu - E sigma, pace the time between two ticks as a share of the
-    sample time; each observer's error obeys A_j, with G rho in the rows of x, where G R is how A of the cell in which a
+    sample time; where the program predicts all cells and the plant of the design has merged ones, A_j and G are of all
+    cells; each observer's error obeys A_j, with G rho in the rows of x, where G R is how A of the cell in which a
     substep begins differs from that of any other, and with (1 - pace) d; nu' = 0; rho' = R of how e and the observer's
     error change. A tick corrects the last prediction by M C, the others get older, nu = K (e + Delta) anew for the
     prediction that is delay ticks old, and rho = 0. Loads are constants, E = B U; with delay, nu has - U sigma of that
     prediction, and d has no sigma.
     """
 
-    def __init__(self, content: Any, loop: Loop) -> None:
-        self.plant = plant = loop.plant
+    def __init__(self, content: Any, loop: Loop, watched: AuditedPlant | None = None) -> None:
+        self.plant, self.watched = loop.plant, watched is not None
+        plant = loop.plant
         square = loop.X is None or len(plant.tracked[0]) == len(plant.B[0][0])
         self.at = plant.at_inputs() if plant.loads is not None else []
         if self.at and not square:
@@ -49,10 +52,13 @@ class AuditedErrors:
         self.widths = [self.n, self.m, *[self.N] * self.predicted, *[len(self.R[0])] * self.predicted]
         self.order, self.kept = sum(self.widths), sum(self.widths[: 2 + self.predicted])
         self.cells = outermost(plant.A)
-        self.changes = outermost([one - other for one, other in permutations(self.cells, 2)])
+        self.own = self.cells if watched is None else outermost(watched.A)
+        self.changes = outermost([one - other for one, other in permutations(self.own, 2)])
         self.read = [self.gain(change) for change in self.changes]
         if self.R[0] and not self.changes:
             raise AuditFault("the rows of the sampled loop do not span the differences of its cells")
+        for one, other in permutations(self.cells if self.watched else [], 2):
+            self.gain(one - other)
 
     def gain(self, change: Ball) -> Ball:
         """Return G with G R = A_a - A_b, where R has for each row a column in which it alone is 1."""
@@ -107,9 +113,9 @@ class AuditedErrors:
         """What the observer's error obeys between ticks, without what its prediction adds."""
         loads = self.plant.loads
         if loads is None:
-            return self.cells
+            return self.own
         E, S = loads
-        return [stacked(sides(A, E), sides(zero(self.N - self.n, self.n), S)) for A in self.cells]
+        return [stacked(sides(A, E), sides(zero(self.N - self.n, self.n), S)) for A in self.own]
 
     @cached_property
     def tick(self) -> Ball:

@@ -7,7 +7,7 @@ from typing import Any
 
 from .balls import Ball, enlarge, falls, stacked, unlike
 from .bounds import CHANNEL, SIGNALS, Loop
-from .clocked import Form, shrinks
+from .clocked import Form, predicted, shrinks
 from .matrices import AuditFault, added, definite, identity
 from .reading import distinct, number, packed, place
 from .shape import NUMBER, PACKED, WHOLE, of
@@ -25,7 +25,7 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
     merged = [] if whole["practical"] is None else whole["practical"]["merged"]
-    tubes = Tubes(whole["sampled"], loop, merged)
+    tubes = Tubes(AuditedErrors(whole["sampled"], loop, predicted(whole)), whole["sampled"], merged)
     faults = [f"the sampled loop, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
     channels = {tuple(entry["channel"]) for entry in found}
     return faults, [f"the sampled loop: what {len(channels)} disturbances, noises and inputs leave is proved"]
@@ -37,9 +37,9 @@ class Tubes:
     Of what is summed g g^T < Q_e in place of the term with g.
     """
 
-    def __init__(self, sampled: Any, loop: Loop, merged: Any) -> None:
+    def __init__(self, errors: AuditedErrors, sampled: Any, merged: Any) -> None:
         self.merged = [[number(v) for v in one["direction"]] for one in merged]
-        self.errors = errors = AuditedErrors(sampled, loop)
+        self.errors = errors
         self.parts, self.period = sampled["substeps"] if errors.changes else 1, number(sampled["sample_time"])
         self.sizes = errors.n, errors.m, errors.N, len(errors.R[0])
 
@@ -116,7 +116,11 @@ class Tubes:
             nominal = [mean, column([nu, *d * [Delta]]), *d * [self.errors.R @ mean]]
             return column([e, nu, *d * [Delta], *d * [rho]]), -reduce(stacked, nominal), nothing
         if kind == "deviation":
-            e, Delta = self.merged[k], [*(-v for v in self.merged[k]), *Delta[n:]]
+            e = self.merged[k]
+            if self.errors.watched:
+                rho = [v for (v,) in (self.errors.R @ column([e])).centre] if q else rho
+            else:
+                Delta = [*(-v for v in e), *Delta[n:]]
         elif kind == "disturbance":
             e[k], Delta[k] = Fraction(1), Fraction(-1)
         else:
