@@ -218,6 +218,8 @@ def from_file(command: str) -> Callable[[SemidefiniteProgram], float]:
             if command == "sdpa":
                 asked = ["-ds", asked[0], "-o", asked[1], "-p", "param.sdpa", "-numThreads", "1"]
             run = subprocess.run([command, *asked], cwd=folder, capture_output=True, text=True, check=False)
+            if run.returncode < 0:  # it was ended, and so is this
+                signal.raise_signal(-run.returncode)
             said = run.stdout + ((folder / "program.out").read_text() if command == "sdpa" else "")
         values = re.findall(r"(?:objValPrimal\s*=|Primal objective value:)\s*(\S+)", said)
         return float(values[-1]) + constant
