@@ -107,7 +107,7 @@ class Source:
             "",
             *([*sizes, ""] if sizes else []),
             f"y            {y}",
-            f"ref          {', '.join(self.program.reference) if self.given else reference}",
+            f"ref          {', '.join(self.program.given) if self.given else reference}",
             f"u            {u}",
         ]
         return [said(line) for line in lines]

@@ -15,7 +15,7 @@ from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.program import Follows, Piece, SampledController, program
+from pwatrack.control.program import MOST_DERIVATIVES, Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
@@ -98,7 +98,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
         "inside": _lists(inside, *_FOLLOWED) | made,
-        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference)},
+        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference), "pace": outside.pace.tolist()},
     }
 
 
@@ -186,7 +186,10 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         quantum=table("program.quantum", m),
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
+        pace=table("program.outside.pace", len(part.outside.pace), 4) if given else np.zeros((0, 4)),
     )
+    if len(found.pace) and (s not in len(found.pace) * np.arange(2, 2 + MOST_DERIVATIVES) or (found.pace[:, 1:] <= 0).any()):
+        raise ValueError("program.outside.pace: a limit is not positive, or its reference has other entries")
     for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))
         if largest > _SINGLE:
@@ -314,6 +317,8 @@ def check_same(
     found, conditions = runs(known), spec.scenario.conditions
     conditions = replace(conditions, sampling=conditions.sampling or found.sampling)
     made = Sampled.model_validate(sampled(controller, conditions))
+    if known.program.outside.pace != made.outside.pace:
+        raise _other("program.outside.pace")
     for name in _CHOSEN:
         for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
             raise _other(place)

@@ -139,6 +139,20 @@ Signals = Annotated[
 ]
 
 
+class PaceSection(Section):
+    """Limits of what is made of set-points: of its speed, acceleration and jerk, per s, s² and s³."""
+
+    speed: Positive
+    acceleration: Positive
+    jerk: Positive
+
+
+class OutsideSection(Section):
+    """A reference that comes at run time: set-points, of which the program makes y_d within limits, by output."""
+
+    filter: Annotated[dict[Name, PaceSection], Field(min_length=1)]
+
+
 class ReferenceSection(Section):
     """What to track: outputs, or for state tracking one of state, input, setpoint."""
 
@@ -153,6 +167,8 @@ class ReferenceSection(Section):
     """Of one tracked output, or of each by its name."""
     preview: Literal["auto", "none"] = "auto"
     """Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is refused."""
+    outside: OutsideSection | None = None
+    """What the program makes of set-points at run time, where it is exported for these."""
     state: Annotated[list[Signal], shaped("states")] | None = None
     input: Annotated[list[Signal], shaped("inputs")] | None = None
     start: Annotated[PeriodicOrVector, shaped("states")] | None = None
@@ -172,12 +188,27 @@ class ReferenceSection(Section):
             yield Fault("start goes with a reference 'input' only", ("start",))
         if self.preview != "auto" and self.output is None:
             yield Fault(".preview goes with reference.output", key=("preview",))
+        if self.outside is not None:
+            yield from self._outside_faults(context)
         if self.input is not None and self.start is None:
             yield Fault(".start is missing: x_d(0), or 'periodic'")
         if self.output is not None and "output" in fitting and context.followed:
             yield from (fault._replace(late=True) for fault in _output_faults(self.output, context.followed))
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
             yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
+
+
+    def _outside_faults(self, context: Context) -> Iterator[Fault]:
+        assert self.outside is not None
+        given = self.outside.filter
+        if self.output is None:
+            yield Fault(".outside goes with reference.output", key=("outside",))
+        for name, meant in unknown_names(given, context.followed):
+            where, text = ("outside", "filter", name), f": {shown(name)} is no tracked output{meant}"
+            yield Fault(text, where, late=True)
+        if missing := [name for name in context.followed if name not in given]:
+            text = f".outside.filter must give every tracked output, and leaves out {', '.join(missing)}"
+            yield Fault(text, key=("outside",), late=True)
 
 
 def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
