@@ -32,7 +32,12 @@ class Plain:
         w = [zero] * of["s"] if follows is None else floats(follows.w0)
         self.state |= {"w": w, "w1": w, "w2": w, "late": [[zero] * self.m] * self.delay, "before": [zero] * self.m}
         self.pace = floats(program.pace)
+        self.windows = program.windows.tolist()
         self.state |= {"course": [[zero, zero, zero, pace[0]] for pace in self.pace]}
+        rest = [[(pace[0], *[zero] * (3 + n)) for n in range(len(pace) - 4)] for pace in self.pace]
+        self.state["past"] = [
+            [[row] * N for row, N in zip(rows, Ns, strict=True)] for rows, Ns in zip(rest, self.windows, strict=True)
+        ]
         self.state |= {"run": False, "tick": 0, "since": 0, "i": 0, "j": 0, "x_d": [zero] * self.n}
 
     def row(self, a: Any, v: Any) -> Any:
@@ -116,8 +121,9 @@ class Plain:
 
     def followed(self, old: Any, new: Any) -> None:
         """Set-points, of which w is made."""
-        h, made, new["course"] = self.real(self.program.sampling.sample_time), [], []
-        for (_, *limits), (d, v, a, r), given in zip(self.pace, old["course"], new["w"], strict=True):
+        h, made, new["course"], new["past"] = self.real(self.program.sampling.sample_time), [], [], []
+        parts = zip(self.pace, old["course"], old["past"], new["w"], strict=True)
+        for (_, *limits), (d, v, a, r), past, given in parts:
             jerk, zero = limits[2], self.real(0.0)
             now = (d + (given - r), v, a)
             d_end = self.pursued(now, zero, self.real(2.0**100), limits)[0][0]
@@ -135,12 +141,26 @@ class Plain:
             near = self.real(np.sqrt(eps) * self.program.sampling.sample_time**3 * float(jerk))
             if left > 0 and -near < after[0] < near:
                 after = (zero, *after[1:])
-            degree = self.program.sizes["s"] // len(self.pace) - 1
+            degree = min(self.program.sizes["s"] // len(self.pace) - 1, 3)
             top = (now[0] - after[0]) / h if degree == 1 else (after[degree - 1] - now[degree - 1]) / h
-            values = [*now[1:degree], top]
-            made.append([given - now[0], *(max(-m, min(v, m)) for v, m in zip(values, limits, strict=False))])
+            row, later = [given - now[0], *now[1:degree], top], []
+            for window in past:
+                later.append([tuple(row), *window[:-1]])
+                row = self.mean(row, window)
+            new["past"].append(later)
+            made.append([row[0], *(max(-m, min(v, m)) for v, m in zip(row[1:], limits, strict=False))])
             new["course"].append([*after, given])
         new["w"] = [value for values in zip(*made, strict=True) for value in values]
+
+    def mean(self, row: Any, window: Any) -> Any:
+        """The mean over a window, newest first, that ends with a row: it has one more derivative."""
+        h, N, half = self.program.sampling.sample_time, len(window), self.real(0.5)
+        total = half * row[0]
+        for before in window[:-1]:
+            total = total + before[0]
+        total = (total + half * window[-1][0]) / self.real(N)
+        total = total - self.real(h / (12 * N)) * (row[1] - window[-1][1])
+        return [total, *((new - old) / self.real(N * h) for new, old in zip(row, window[-1], strict=True))]
 
     def pursued(self, at: Any, target: Any, left: Any, limits: Any) -> Any:
         """Go on for a time towards a speed: where that ends, and what is left of the time."""

@@ -17,7 +17,7 @@ from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.model.reference import Exosystem
 
-MOST_DERIVATIVES = 3  # of y_d that is made of set-points: its jerk is bounded
+PACE = "speed", "acceleration", "jerk", "snap", "crackle"  # what of y_d has limits where it is made of set-points
 RENEWED = 1, 2**10, 2**20  # samples after which w and its two copies are stepped on
 _ON_TICK = 1e-9  # of a sample time: what is nearer to a tick is on it but for rounding
 _LARGEST = 1e100  # of an entry of a map that a machine may use
@@ -84,7 +84,7 @@ class SampledController:
         follows: Where w comes from; None if it is given at each tick.
         reference: Names of the entries of w, where it is given.
         pace: Of each output whose set-points are given, and not w: where it starts, and the limits of its speed,
-            acceleration and jerk, (outputs, 4); (0, 4) where w is given.
+            acceleration, jerk and what is beyond, up to the relative degree, (outputs, 4 … 6); (0, 4) where w is given.
     """
 
     sampling: Sampling
@@ -109,6 +109,16 @@ class SampledController:
     pace: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
+    def windows(self) -> IntArray:
+        """Over how many samples each derivative of `pace` beyond the jerk is a mean, (outputs, 0 … 2).
+
+        A derivative within ± a limit differs over a window by twice that at most, and its mean has this divided by the
+        window as its derivative.
+        """
+        lengths = 2 * self.pace[:, 3:-1] / self.pace[:, 4:] / self.sampling.sample_time
+        return np.asarray(np.maximum(np.ceil(lengths), 1), dtype=np.int64)
+
+    @property
     def given(self) -> tuple[str, ...]:
         """Names of what is given at each tick: w, or the set-points that it is made of."""
         return self.reference[: len(self.pace) or None]
@@ -128,12 +138,14 @@ class SampledController:
         """
         of, late = self.sizes, self.sampling.delay
         lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
-        lengths |= {"w": of["s"], "copies": 2 * of["s"], "course": 4 * len(self.pace), "late": late * of["m"]}
+        lengths |= {"w": of["s"], "copies": 2 * of["s"], "course": 4 * len(self.pace)}
+        lengths |= {"past": int((self.windows * np.arange(4, 4 + self.windows.shape[1])).sum()), "late": late * of["m"]}
         lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
         lengths |= {"g": max(len(self.h), len(self.guards)), "source": of["s"]}
         predicted = of["N"] if self.sampling.corrects else 0
         lengths |= {"seen": predicted and of["m"] + predicted, "moved": predicted, "missed": predicted and of["q"]}
         lengths |= dict.fromkeys(("going", "lasting", "bending"), 3 * bool(len(self.pace)))
+        lengths |= {"made": of["s"] // len(self.pace) if len(self.pace) else 0}
         edges = np.cumsum([0, *lengths.values()]).tolist()
         return dict(zip(lengths, map(slice, edges[:-1], edges[1:]), strict=True))
 
@@ -321,10 +333,14 @@ def _pace(controller: ProvedController, conditions: Conditions) -> Array:
     if generator is None or generator.played_back:
         text = "set-points at run time need a trajectory generator that runs: output tracking without preview"
         raise OutsideTheory(text, subject=subject)
-    if (degree := max(generator.form.degrees)) > MOST_DERIVATIVES:
-        text = f"the relative degree is {degree}, and what is made of set-points has {MOST_DERIVATIVES} derivatives"
+    if (degree := max(generator.form.degrees)) > len(PACE):
+        text = f"the relative degree is {degree}, and what is made of set-points has {len(PACE)} derivatives"
         raise OutsideTheory(text, subject=subject)
-    return np.hstack([system.derivative_rows(0)[0] @ system.w0[:, None], conditions.pace])
+    if (needed := max(degree, 3)) != conditions.pace.shape[1]:
+        names = ", ".join(PACE[:needed])
+        raise InvalidSpec(Problem(message=f"limits of {names} are needed, for a relative degree of {degree}", subject=subject))
+    pace = np.hstack([system.derivative_rows(0)[0] @ system.w0[:, None], conditions.pace])
+    return pace
 
 
 def _chains(signals: int, length: int) -> Exosystem:

@@ -26,7 +26,7 @@ PRODUCT = "product"  # every product of floats is assigned to it before it is ad
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
 _ORDER = """
 H h observer C M generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
-signs sides piece_tick piece_start piece_length piece_value low high change quantum pace timing
+signs sides piece_tick piece_start piece_length piece_value low high change quantum pace timing weights
 """
 _SHORT = {"H": "normals", "h": "offsets", "x_d": "desired", "u_ff": "feedforward", "K": "gain"}  # cases are alike
 _SHORT |= {"C": "outputs", "M": "correction"}
@@ -78,10 +78,12 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
     `starts` has what x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
     """
     at, copies = routine.at, max(len(routine.turn) - 1, 0)
+    past = at.late - at.past
     arrays: tuple[Variable, ...] = (
         Variable("v", "real", at.w + at.s, "y, u, x_hat, s_hat, eta_hat, w"),
         Variable("copies", "real", copies * at.s, "of w, renewed every 2^10 and 2^20 samples"),
         Variable("course", "real", 4 * len(routine.pace), "of each set-point: distance to go, speed, acceleration; it"),
+        Variable("past", "real", past, "what means are made of"),
         Variable("late", "real", at.delay * at.m, "inputs that wait to be put out, the next one first"),
         Variable("before", "real", at.m, "inputs computed last, limited"),
         Variable("wanted", "real", at.m, "inputs wanted before they were limited"),
@@ -94,7 +96,7 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
     own += [Variable("g", "real", at.source - at.g)] if at.source > at.g else []
     own += [Variable("source", "real", at.s)] if len(routine.turn) else []
     predicted = {"seen": at.m + at.N, "moved": at.N, "missed": at.q} if len(routine.M) else {}
-    paced = {"going": 3, "lasting": 3, "bending": 3} if len(routine.pace) else {}
+    paced = {"going": 3, "lasting": 3, "bending": 3, "made": at.s // len(routine.pace)} if len(routine.pace) else {}
     own += [Variable(name, "real", length) for name, length in {**predicted, **paced}.items()]
     own += [
         Variable(name, "whole") for name in ("a", "b", "i", "k", "level", *(("here", "stage") if predicted else ()))
@@ -144,6 +146,8 @@ def _begin(routine: "ControllerArrays", arrays: Iterable[Variable], numbers: Ite
         yield _loop("k", length, f"{place} = {table}[k]")
     for c in range(len(routine.pace)):
         yield f"course[{4 * c + 3}] = pace[{c}, 0]"
+        for start, count in zip(routine.window_start[c], routine.windows[c], strict=True):
+            yield _loop("k", count, f"past[{_at(start, 'k')}] = pace[{c}, 0]")
     for number in numbers:
         yield f"{number.name} = 0"
     yield "started = False"
@@ -355,7 +359,7 @@ class _Worked:
 
 
 _IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
-_WORK = ("g", "source", "seen", "moved", "missed", "going", "lasting", "bending")  # parts of the room that are not remembered
+_WORK = ("g", "source", "seen", "moved", "missed", "going", "lasting", "bending", "made")  # parts of the room that are not remembered
 
 
 class _Named(ast.NodeTransformer):

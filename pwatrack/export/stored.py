@@ -15,7 +15,7 @@ from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.program import MOST_DERIVATIVES, Follows, Piece, SampledController, program
+from pwatrack.control.program import PACE, Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
@@ -186,9 +186,9 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         quantum=table("program.quantum", m),
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
-        pace=table("program.outside.pace", len(part.outside.pace), 4) if given else np.zeros((0, 4)),
+        pace=table("program.outside.pace", len(part.outside.pace), len(PACE[: max(3, s // max(len(part.outside.pace), 1) - 1)]) + 1) if given else np.zeros((0, 4)),
     )
-    if len(found.pace) and (s not in len(found.pace) * np.arange(2, 2 + MOST_DERIVATIVES) or (found.pace[:, 1:] <= 0).any()):
+    if (found.pace[:, 1:] <= 0).any() or (len(found.pace) and s not in len(found.pace) * np.arange(2, 2 + len(PACE))):
         raise ValueError("program.outside.pace: a limit is not positive, or its reference has other entries")
     for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))

@@ -75,7 +75,7 @@ class Conditions:
     sampling: Sampling | None = None  # where the controller is sampled
     quanta: Quanta | None = None  # of inputs and measured outputs, of a controller that is sampled
     rates: Array | None = None  # by how much each input may change in a second, (m,); infinite for no limit
-    pace: Array | None = None  # limits of speed, acceleration, jerk of y_d that a program makes of set-points, (tracked, 3)
+    pace: Array | None = None  # limits of the derivatives of y_d that a program makes of set-points, (tracked, 3 … 5)
 
     def texts(self, plant: PWASystem) -> list[str]:
         """Say what is not as the theorems assume, each in a few words; `plant` has the names."""

@@ -28,7 +28,9 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
 
     of = program.sizes
     corrects, h = program.sampling.corrects, program.sampling.sample_time
-    near = np.sqrt(np.finfo(real).eps) * h**3 * program.pace[:, 3:]
+    near = np.sqrt(np.finfo(real).eps) * h**3 * program.pace[:, 3:4]
+    windows = program.windows
+    kept = windows * np.arange(4, 4 + windows.shape[1])
     s, known = of["s"], of["N"] - of["n"] + of["p"] + of["s"]
     follows = program.follows if s else None
     pieces, end = ((), None) if follows is None else (follows.pieces, follows.end)
@@ -56,6 +58,9 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
         low=numbers(program.limits[:, 0]),
         high=numbers(program.limits[:, 1]),
         pace=numbers(np.hstack([program.pace, near])),
+        windows=whole(windows),
+        window_start=whole((np.cumsum(kept) - kept.ravel()).reshape(kept.shape)),
+        weights=numbers(np.stack([windows, windows * h, h / (12 * windows)], axis=-1)),
         timing=numbers(np.array([h, 0.5, 1 / 3, _EVER, 0.0])),
         half=real(0.5),
         most=int(np.unique(ticks, return_counts=True)[1].max(initial=0)),
@@ -76,9 +81,11 @@ def memory(
     eta_hat = _gone_on(program, np.asarray(x_hat), np.asarray(eta_hat))
     found[at["x_hat"].start : at["s_hat"].stop], found[at["eta_hat"]] = x_hat, eta_hat
     found[at["course"]][3::4] = program.pace[:, 0]
+    past = [np.repeat([start, 0.0], [k, (3 + n) * k]) for start, row in zip(program.pace[:, 0], program.windows, strict=True) for n, k in enumerate(row)]
+    found[at["past"]] = np.concatenate([np.zeros(0), *past])
     if program.follows is not None:
         found[at["w"]], found[at["copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)
-    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["bending"].stop, dtype=real)}
+    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["made"].stop, dtype=real)}
 
 
 def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:

@@ -131,7 +131,7 @@ class Resets(NamedTuple):
 Places = namedtuple(
     "Places",
     "q m n N p s known delay ahead substeps "
-    "y u x_hat s_hat eta_hat w copies course late before wanted change x_d g source seen moved missed going lasting bending",
+    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source seen moved missed going lasting bending made",
 )
 
 
@@ -163,6 +163,9 @@ class ControllerArrays(NamedTuple):
     quantum: Array  # its steps, (m,)
     pace: Array  # of set-points: as there, and how far from one counts as there, (outputs, 5)
     timing: Array  # the sample time, ½, ⅓, longer than anything lasts, 0, (5,)
+    windows: IntArray  # over how many samples each derivative above the jerk is a mean, (outputs, 0 … 2)
+    window_start: IntArray  # where in `past` its samples begin
+    weights: Array  # how many they are, how long, and what the ends count besides, (outputs, 0 … 2, 3)
     half: Any  # ½
     most: int  # how many pieces begin at one tick at most
     end: int  # the last tick at which the reference is defined, -1 if there is none
@@ -1144,6 +1147,31 @@ def _pursue(routine: ControllerArrays, room: Array, channel: int, target: float,
 
 
 @_as_written
+def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int, nth: int) -> None:
+    """Make y_d and its derivatives at room[made:] their means over a window that ends now: they have one more."""
+    at, half = routine.at, routine.timing[1]
+    count, first = routine.windows[channel, nth], routine.window_start[channel, nth]
+    product = half * room[at.made]
+    value = product
+    for k in range(count - 1):
+        value = value + memory[at.past + first + k]
+    product = half * memory[at.past + first + count - 1]
+    value = value + product
+    value = value / routine.weights[channel, nth, 0]
+    part = room[at.made + 1] - memory[at.past + first + 2 * count - 1]
+    product = routine.weights[channel, nth, 2] * part
+    value = value - product
+    for order in range(nth + 4):
+        for k in range(count - 1):
+            room[at.past + first + order * count + 1 + k] = memory[at.past + first + order * count + k]
+        room[at.past + first + order * count] = room[at.made + order]
+    for order in range(nth + 4):
+        part = room[at.made + nth + 3 - order] - memory[at.past + first + (nth + 4 - order) * count - 1]
+        room[at.made + nth + 4 - order] = part / routine.weights[channel, nth, 1]
+    room[at.made] = value
+
+
+@_as_written
 def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array, channel: int) -> None:
     """Make a set-point y_d and its derivatives: on towards it for as long as a stop would still end before it.
 
@@ -1181,14 +1209,20 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
         width = product
     if left > 0.0 and room[at.going] < routine.pace[channel, 4] and room[at.going] > -routine.pace[channel, 4]:
         room[at.going] = 0.0
-    room[at.w + channel] = given[channel] - room[at.course + 4 * channel]
-    for order in range(1, at.s // len(routine.pace)):
-        value = room[at.course + 4 * channel + order]
-        if order == at.s // len(routine.pace) - 1:
-            value = room[at.going + order - 1] - room[at.course + 4 * channel + order - 1]
+    degree = at.s // len(routine.pace) - 1
+    room[at.made] = given[channel] - room[at.course + 4 * channel]
+    for order in range(1, min(degree, 3) + 1):
+        room[at.made + order] = room[at.course + 4 * channel + order]
+        if order == min(degree, 3):
+            part = room[at.going + order - 1] - room[at.course + 4 * channel + order - 1]
             if order == 1:
-                value = -value
-            value = value / routine.timing[0]
+                part = -part
+            room[at.made + order] = part / routine.timing[0]
+    for nth in range(degree - 3):
+        _smooth(routine, memory, room, channel, nth)
+    room[at.w + channel] = room[at.made]
+    for order in range(1, degree + 1):
+        value = room[at.made + order]
         if value > routine.pace[channel, order]:
             value = routine.pace[channel, order]
         if value < -routine.pace[channel, order]:

@@ -377,7 +377,7 @@ def build_conditions(
     paces = [outside.filter[name] for name in plant.tracked_names] if outside is not None else []
     return Conditions(
         quanta=quanta,
-        pace=readonly([[pace.speed, pace.acceleration, pace.jerk] for pace in paces]) if paces else None,
+        pace=readonly([pace.limits for pace in paces]) if paces else None,
         rates=_vector(section.rate_limit, plant.inputs, np.inf) if section.rate_limit else None,
         plant=running,
         parameters=changed,

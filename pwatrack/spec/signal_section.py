@@ -140,11 +140,23 @@ Signals = Annotated[
 
 
 class PaceSection(Section):
-    """Limits of what is made of set-points: of its speed, acceleration and jerk, per s, s² and s³."""
+    """Limits of the derivatives of what is made of set-points, as many as the relative degree, at least to the jerk."""
 
     speed: Positive
     acceleration: Positive
     jerk: Positive
+    snap: Positive | None = None
+    crackle: Positive | None = None
+
+    @property
+    def limits(self) -> list[float]:
+        """Those that there are, in order."""
+        return [limit for name in type(self).model_fields if (limit := getattr(self, name)) is not None]
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where one is left out."""
+        if self.crackle is not None and self.snap is None:
+            yield Fault(".snap is missing: crackle is beyond it")
 
 
 class OutsideSection(Section):
@@ -209,6 +221,8 @@ class ReferenceSection(Section):
         if missing := [name for name in context.followed if name not in given]:
             text = f".outside.filter must give every tracked output, and leaves out {', '.join(missing)}"
             yield Fault(text, key=("outside",), late=True)
+        if len({len(pace.limits) for pace in given.values()}) > 1:
+            yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
 
 
 def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
