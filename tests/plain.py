@@ -165,7 +165,7 @@ class Plain:
     def pursued(self, at: Any, target: Any, left: Any, limits: Any) -> Any:
         """Go on for a time towards a speed: where that ends, and what is left of the time."""
         half, third, zero = self.real(0.5), self.real(1 / 3), self.real(0.0)
-        (d, v, a), (_, largest, jerk) = at, limits
+        (d, v, a), (_, largest, jerk) = at, limits[:3]
         gap, bend = target - v, half * (a * a / jerk)
         up = gap >= (-bend if a < 0 else bend)
         gap, lean, rise = (gap, a, jerk) if up else (-gap, -a, -jerk)

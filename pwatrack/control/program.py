@@ -19,6 +19,7 @@ from pwatrack.model.reference import Exosystem
 
 PACE = "speed", "acceleration", "jerk", "snap", "crackle"  # what of y_d has limits where it is made of set-points
 RENEWED = 1, 2**10, 2**20  # samples after which w and its two copies are stepped on
+_LONGEST_WINDOW = 500  # samples: each is remembered, and looked at in each step
 _ON_TICK = 1e-9  # of a sample time: what is nearer to a tick is on it but for rounding
 _LARGEST = 1e100  # of an entry of a map that a machine may use
 
@@ -203,6 +204,7 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
         reference=names,
         pace=_pace(controller, conditions) if given else np.zeros((0, 4)),
     )
+    _check_windows(found)
     if not all(np.isfinite(table).all() for table in (found.observer, found.generator, found.u_ff, found.K, found.M)):
         message = f"{sampling.sample_time:g} s are too long a sample: what a cell does in it is out of range"
         raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), hint="a shorter sample time"))
@@ -338,9 +340,20 @@ def _pace(controller: ProvedController, conditions: Conditions) -> Array:
         raise OutsideTheory(text, subject=subject)
     if (needed := max(degree, 3)) != conditions.pace.shape[1]:
         names = ", ".join(PACE[:needed])
-        raise InvalidSpec(Problem(message=f"limits of {names} are needed, for a relative degree of {degree}", subject=subject))
-    pace = np.hstack([system.derivative_rows(0)[0] @ system.w0[:, None], conditions.pace])
-    return pace
+        raise InvalidSpec(
+            Problem(message=f"limits of {names} are needed, for a relative degree of {degree}", subject=subject)
+        )
+    return np.hstack([system.derivative_rows(0)[0] @ system.w0[:, None], conditions.pace])
+
+
+def _check_windows(found: SampledController) -> None:
+    """Refuse limits so low that means are over too many samples."""
+    longest = found.windows.max(axis=0, initial=0)
+    for beyond in np.flatnonzero(longest > _LONGEST_WINDOW).tolist():
+        name, least = PACE[3 + beyond], 2 * found.pace[:, 3 + beyond].max() / found.sampling.sample_time
+        message = f"the limit of {name} is so low that it takes means over {longest[beyond]:,} samples"
+        hint = f"at most {_LONGEST_WINDOW:,}: at least {least / _LONGEST_WINDOW:.3g}, or a lower limit before it"
+        raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
 
 
 def _chains(signals: int, length: int) -> Exosystem:

@@ -37,8 +37,8 @@ def header(source: Source) -> str:
     sizes = (
         f"State        {state} bytes",
         f"Constants    {constants} bytes",
-        f"One step     at most {multiplications} products, quotients and roots, {additions} sums, {comparisons} comparisons"
-        " of floats",
+        f"One step     at most {multiplications} products, quotients and roots, {additions} sums,"
+        f" {comparisons} comparisons of floats",
     )
     about = source.about(sizes, "made inside; NULL will do")
     values = {

@@ -1,8 +1,8 @@
 """The notation in which a step is written once, and the languages that it is printed in.
 
 It is a part of Python: assignments, `if` with `elif` and `else`, `for` over a range of two whole numbers, indices from
-0, + - * / %, sqrt, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False. A text by itself is a
-comment. A new language is a module with a function `write`, and a line of `LANGUAGES`.
+0, + - * / %, sqrt, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False. A text by
+itself is a comment. A new language is a module with a function `write`, and a line of `LANGUAGES`.
 """
 
 import ast
@@ -69,7 +69,7 @@ def _names(tree: ast.AST) -> set[str]:
 
 
 def most(text: str, reals: Set[str]) -> Counter[str]:
-    r"""Return how often lines of the notation do each of + - * / with floats at most, sqrt as /, and compare them, as "<".
+    r"""Return how often a text does each of + - * / with floats at most, sqrt as /, and compares them, "<".
 
     `reals` are the names of floats.
 

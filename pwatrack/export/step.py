@@ -50,6 +50,9 @@ if product > total:
     product = product - 1.0"""  # the sum is a whole number next to total: a floor without a function of any library
 
 
+_PACING = ("gap", "lean", "rise", "peak", "part", "early", "width", "aim", "left")  # what set-points take
+
+
 @dataclass(frozen=True)
 class Variable:
     """What is remembered, or worked with: its name, type, length (0: one number), and what it is."""
@@ -102,7 +105,7 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
         Variable(name, "whole") for name in ("a", "b", "i", "k", "level", *(("here", "stage") if predicted else ()))
     ]
     own += [Variable(name, "real") for name in ("total", PRODUCT, "difference", "worst", "least", "value", "last")]
-    own += [Variable(name, "real") for name in "gap lean rise peak part early width aim left".split() if paced]
+    own += [Variable(name, "real") for name in _PACING if paced]
     own.append(Variable("fine", "flag"))
     kept = (*arrays, *numbers, Variable("started", "flag", what="whether it has run"))
     hold = _loop("b", at.m, f"u[b] = v[{at.u} + b]\nif not {_finite(f'v[{at.u} + b]')}:\n    u[b] = 0.0")
@@ -194,7 +197,7 @@ def _finite(value: str) -> str:
 def _statement() -> tuple[dict[str, ast.FunctionDef], dict[str, Any]]:
     """Return the functions of the kernel, and its whole numbers."""
     body = ast.parse(files("pwatrack.simulation").joinpath("kernel.py").read_text(encoding="utf-8")).body
-    known: dict[str, Any] = {"np": np, "len": len}
+    known: dict[str, Any] = {"np": np, "len": len, "min": min}
     for node in body:
         match node:
             case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=int(value))):
@@ -359,7 +362,17 @@ class _Worked:
 
 
 _IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
-_WORK = ("g", "source", "seen", "moved", "missed", "going", "lasting", "bending", "made")  # parts of the room that are not remembered
+_WORK = (
+    "g",
+    "source",
+    "seen",
+    "moved",
+    "missed",
+    "going",
+    "lasting",
+    "bending",
+    "made",
+)  # parts of the room that are not remembered
 
 
 class _Named(ast.NodeTransformer):

@@ -18,7 +18,7 @@ from pwatrack.control.goal import Given
 from pwatrack.control.program import PACE, Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec
-from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
+from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Outside, Sampled
 from pwatrack.model.conditions import Conditions
 from pwatrack.spec.spec import Spec
 
@@ -186,10 +186,8 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         quantum=table("program.quantum", m),
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
-        pace=table("program.outside.pace", len(part.outside.pace), len(PACE[: max(3, s // max(len(part.outside.pace), 1) - 1)]) + 1) if given else np.zeros((0, 4)),
+        pace=table("program.outside.pace", *_pace_shape(part.outside)) if given else np.zeros((0, 4)),
     )
-    if (found.pace[:, 1:] <= 0).any() or (len(found.pace) and s not in len(found.pace) * np.arange(2, 2 + len(PACE))):
-        raise ValueError("program.outside.pace: a limit is not positive, or its reference has other entries")
     for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))
         if largest > _SINGLE:
@@ -198,6 +196,11 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
                 hint="use double floats; a shorter sample time makes smaller numbers",
             )
     return found
+
+
+def _pace_shape(outside: Outside) -> tuple[int, int]:
+    outputs = len(outside.pace)
+    return outputs, max(4, len(outside.reference) // outputs) if outputs else 4
 
 
 def _follows(inside: Inside, turn: Array) -> Follows:
@@ -210,7 +213,10 @@ def _follows(inside: Inside, turn: Array) -> Follows:
 
 
 def _check_runs(known: ControllerFile) -> None:
-    inside, _ = (runs(known, given=given) for given in (False, True))
+    inside, outside = (runs(known, given=given) for given in (False, True))
+    outputs, entries = len(outside.pace), len(outside.reference)
+    if (outside.pace[:, 1:] <= 0).any() or (outputs and entries not in outputs * np.arange(2, 2 + len(PACE))):
+        raise ValueError("program.outside.pace: a limit is not positive, or its reference has other entries")
     follows, of = inside.follows, inside.sizes
     assert follows is not None
     if len(follows.early) != inside.sampling.ahead:

@@ -81,7 +81,11 @@ def memory(
     eta_hat = _gone_on(program, np.asarray(x_hat), np.asarray(eta_hat))
     found[at["x_hat"].start : at["s_hat"].stop], found[at["eta_hat"]] = x_hat, eta_hat
     found[at["course"]][3::4] = program.pace[:, 0]
-    past = [np.repeat([start, 0.0], [k, (3 + n) * k]) for start, row in zip(program.pace[:, 0], program.windows, strict=True) for n, k in enumerate(row)]
+    past = [
+        np.repeat([start, 0.0], [k, (3 + n) * k])
+        for start, row in zip(program.pace[:, 0], program.windows, strict=True)
+        for n, k in enumerate(row)
+    ]
     found[at["past"]] = np.concatenate([np.zeros(0), *past])
     if program.follows is not None:
         found[at["w"]], found[at["copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)

@@ -131,7 +131,8 @@ class Resets(NamedTuple):
 Places = namedtuple(
     "Places",
     "q m n N p s known delay ahead substeps "
-    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source seen moved missed going lasting bending made",
+    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source seen moved missed "
+    "going lasting bending made",
 )
 
 
@@ -1075,11 +1076,10 @@ def _act(routine: ControllerArrays, memory: Array, room: Array, new: Any, x: int
 
 
 @_as_written
-def _pursue(routine: ControllerArrays, room: Array, channel: int, target: float, left: float) -> float:
-    """Go on for a time, from (distance to go, speed, acceleration) at room[going:], to a speed in the least time.
+def _bend(routine: ControllerArrays, room: Array, channel: int, target: float) -> None:
+    """Write how (speed, acceleration) at room[going + 1:] gets to a speed in the least time: times, and their jerks.
 
-    The acceleration is bent towards it at the jerk that is allowed, held at its limit, and bent back to 0. Returns
-    what is left of the time: more than 0 where the speed is reached before.
+    The acceleration is bent towards it at the jerk that is allowed, held at its limit, and bent back to 0.
     """
     at = routine.at
     gap = target - room[at.going + 1]
@@ -1117,6 +1117,16 @@ def _pursue(routine: ControllerArrays, room: Array, channel: int, target: float,
     room[at.bending] = rise
     room[at.bending + 1] = 0.0
     room[at.bending + 2] = -rise
+
+
+@_as_written
+def _pursue(routine: ControllerArrays, room: Array, channel: int, target: float, left: float) -> float:
+    """Go on for a time, from (distance to go, speed, acceleration) at room[going:], to a speed in the least time.
+
+    Returns what is left of the time: more than 0 where the speed is reached before.
+    """
+    at = routine.at
+    _bend(routine, room, channel, target)
     for k in range(3):
         part = room[at.lasting + k]
         if part < 0.0:
@@ -1149,13 +1159,13 @@ def _pursue(routine: ControllerArrays, room: Array, channel: int, target: float,
 @_as_written
 def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int, nth: int) -> None:
     """Make y_d and its derivatives at room[made:] their means over a window that ends now: they have one more."""
-    at, half = routine.at, routine.timing[1]
+    at = routine.at
     count, first = routine.windows[channel, nth], routine.window_start[channel, nth]
-    product = half * room[at.made]
+    product = routine.timing[1] * room[at.made]
     value = product
     for k in range(count - 1):
         value = value + memory[at.past + first + k]
-    product = half * memory[at.past + first + count - 1]
+    product = routine.timing[1] * memory[at.past + first + count - 1]
     value = value + product
     value = value / routine.weights[channel, nth, 0]
     part = room[at.made + 1] - memory[at.past + first + 2 * count - 1]
@@ -1216,7 +1226,7 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
         if order == min(degree, 3):
             part = room[at.going + order - 1] - room[at.course + 4 * channel + order - 1]
             if order == 1:
-                part = -part
+                part = room[at.course + 4 * channel] - room[at.going]
             room[at.made + order] = part / routine.timing[0]
     for nth in range(degree - 3):
         _smooth(routine, memory, room, channel, nth)

@@ -209,16 +209,17 @@ class ReferenceSection(Section):
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
             yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
 
-
     def _outside_faults(self, context: Context) -> Iterator[Fault]:
         assert self.outside is not None
         given = self.outside.filter
         if self.output is None:
             yield Fault(".outside goes with reference.output", key=("outside",))
-        for name, meant in unknown_names(given, context.followed):
+        unknown = [*unknown_names(given, context.followed)]
+        for name, meant in unknown:
             where, text = ("outside", "filter", name), f": {shown(name)} is no tracked output{meant}"
             yield Fault(text, where, late=True)
-        if missing := [name for name in context.followed if name not in given]:
+        missing = [name for name in context.followed if name not in given]
+        if missing and not unknown:
             text = f".outside.filter must give every tracked output, and leaves out {', '.join(missing)}"
             yield Fault(text, key=("outside",), late=True)
         if len({len(pace.limits) for pace in given.values()}) > 1:
