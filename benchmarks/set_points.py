@@ -21,13 +21,20 @@ from pwatrack import load_spec
 from pwatrack.arrays import Array
 from pwatrack.commands.export import of_spec
 from pwatrack.export.c import FLAGS, write
+from pwatrack.export.fmu import c_compiler
 from pwatrack.export.source import Source
 from pwatrack.export.stored import runs
 from pwatrack.simulation.controller_arrays import memory, routine
 from pwatrack.simulation.kernel import tick
 
 SPEC = """name: Three integrators
-system: {states: [s, v, a], inputs: [u], outputs: [y], A: [[0, 1, 0], [0, 0, 1], [0, 0, 0]], B: [[0], [0], [1]], C: [[1, 0, 0]]}
+system:
+  states: [s, v, a]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1, 0], [0, 0, 1], [0, 0, 0]]
+  B: [[0], [0], [1]]
+  C: [[1, 0, 0]]
 reference:
   output: {constant: 0}
   outside: {filter: {y: {speed: 0.5, acceleration: 2, jerk: 40}}}
@@ -121,8 +128,8 @@ def moves(ruckig: Any, file: Any) -> None:
         took = Ours(file, (distance, v, a)).arrives(0.0)
         late.append((took - trajectory.duration) / H)
         ratios.append(took / trajectory.duration)
-    print(f"moves: ours/Ruckig, duration: median {np.median(ratios):.4f}, from {min(ratios):.4f} to {max(ratios):.4f}")
-    print(f"       ours later by at most {max(late):.2f} samples, earlier by at most {-min(late):.2f}; {refused} refused")
+    told(f"moves: ours/Ruckig, duration: median {np.median(ratios):.4f}, from {min(ratios):.4f} to {max(ratios):.4f}")
+    told(f"  ours later by at most {max(late):.2f} samples, earlier by at most {-min(late):.2f}; refused: {refused}")
 
 
 def sequences(ruckig: Any, file: Any) -> None:
@@ -148,10 +155,17 @@ def sequences(ruckig: Any, file: Any) -> None:
             out.pass_to_input(want)
             k += 1
         late.append(mine / H - k)
-    print("sequences: largest part of speed, acceleration, jerk: " + said(used) + " (ours), " + said(their) + " (Ruckig)")
-    print(f"           at rest later than Ruckig by {min(late):.0f} to {max(late):.0f} samples, median {np.median(late):.0f}: a")
-    print("           set-point that is just passed for want of a sample is gone back to")
-    print(f"Ruckig: {1e6 * spent / count:.1f} µs an update, from Python")
+    told(f"sequences: largest part of speed, acceleration, jerk: {said(used)} (ours), {said(their)} (Ruckig)")
+    told(
+        f"  at rest later than Ruckig by {min(late):.0f} to {max(late):.0f} samples, median {np.median(late):.0f}: one that"
+    )
+    told("  is just passed for want of a sample is gone back to")
+    told(f"Ruckig: {1e6 * spent / count:.1f} µs an update, from Python")
+
+
+def told(line: str) -> None:
+    """Print a line."""
+    sys.stdout.write(line + "\n")
 
 
 def said(parts: Array) -> str:
@@ -166,9 +180,11 @@ def timed(subject: Any) -> None:
         write(Source(file=subject.file, name="loop", single=False, given=True, unproved=()), subject.vector, folder)
         (folder / "main.c").write_text(MAIN, encoding="ascii")
         flags = [*FLAGS.split(), "-O2", f"-DSTEPS={TIMED}", "-D_POSIX_C_SOURCE=200112L"]
-        subprocess.run(["cc", *flags, "-o", "timed", "main.c", "loop.c", "-lm"], cwd=folder, check=True)
+        compiler = c_compiler()
+        assert compiler is not None
+        subprocess.run([compiler, *flags, "-o", "timed", "main.c", "loop.c", "-lm"], cwd=folder, check=True)
         mean, many = subprocess.run([folder / "timed"], capture_output=True, text=True, check=True).stdout.split()
-    print(f"ours:   {mean} µs a step of the whole controller in C, {many} of {TIMED:,} more than 20 µs")
+    told(f"ours:   {mean} µs a step of the whole controller in C, {many} of {TIMED:,} more than 20 µs")
 
 
 def main() -> None:

@@ -155,12 +155,11 @@ class Plain:
     def mean(self, row: Any, window: Any) -> Any:
         """The mean over a window, newest first, that ends with a row: it has one more derivative."""
         h, N, half = self.program.sampling.sample_time, len(window), self.real(0.5)
-        total = half * row[0]
+        total = half * (window[-1][0] - row[0])
         for before in window[:-1]:
-            total = total + before[0]
-        total = (total + half * window[-1][0]) / self.real(N)
-        total = total - self.real(h / (12 * N)) * (row[1] - window[-1][1])
-        return [total, *((new - old) / self.real(N * h) for new, old in zip(row, window[-1], strict=True))]
+            total = total + (before[0] - row[0])
+        total = total / self.real(N) - self.real(h / (12 * N)) * (row[1] - window[-1][1])
+        return [row[0] + total, *((new - old) / self.real(N * h) for new, old in zip(row, window[-1], strict=True))]
 
     def pursued(self, at: Any, target: Any, left: Any, limits: Any) -> Any:
         """Go on for a time towards a speed: where that ends, and what is left of the time."""

@@ -19,9 +19,13 @@ from pwatrack.arrays import Array
 from pwatrack.commands.export import Subject, of_spec
 from pwatrack.control.program import PACE, SampledController
 from pwatrack.errors import InvalidSpec, OutsideTheory
+from pwatrack.export.fmu import Version, c_compiler, packed, write_fmu
+from pwatrack.export.fmu_models import controller_model
+from pwatrack.export.source import Source
 from pwatrack.export.stored import digest, parsed, runs
 from pwatrack.simulation import kernel
 from pwatrack.simulation.controller_arrays import memory, routine
+from tests.fmus import Block
 from tests.plain import Plain
 from tests.test_export_c import built
 from tests.test_export_c import written as written_in_c
@@ -161,6 +165,38 @@ def test_from_rest_to_rest_takes_the_shortest_time_there_is_and_one_sample(
     assert (made.w[arrived + 1 :] == [sign * D, 0, 0, 0]).all()
 
 
+@given(st.sampled_from([4, 5]), st.integers(0, 10**6))
+def test_with_snap_and_crackle_it_takes_the_windows_more(degree: int, seed: int) -> None:
+    limits, h, set_points = sequence(np.random.default_rng(seed), degree)
+    D, found = np.abs(set_points).max() + 1e-3 * limits[0] * h, program(degree, limits[:degree], h)
+    best, windows = optimum(D, *limits[:3]), int(found.windows.sum())
+    w = Made(found, np.full(min(int(best / h), 20_000) + windows + 4, D)).w
+    arrived = int(np.argmax((w == [D, *np.zeros(degree)]).all(axis=1)))
+    if best / h < 20_000:
+        assert best + windows * h - 2 * h <= arrived * h <= best + windows * h + 3 * h
+        assert (w[arrived:] == [D, *np.zeros(degree)]).all()
+    assert w[:, 0].max() <= D * (1 + 1e-12) + limits[2] * h**3
+
+
+def test_each_of_two_outputs_goes_its_own_way() -> None:
+    """Side by side in w, derivative by derivative, each in every bit what it is alone."""
+    one, rows = chain(2), [[0.5, 2.0, 40.0], [3.0, 1.0, 5.0]]
+    system: dict[str, Any] = {"states": ["s1", "s2", "s3", "s4"], "inputs": ["i1", "i2"], "outputs": ["o1", "o2"]}
+    for name in ("A", "B", "C"):
+        block = np.array(one["system"][name], dtype=float)
+        system[name] = scipy.linalg.block_diag(block, block).tolist()
+    paces = {f"o{k}": dict(zip(PACE, row, strict=False)) for k, row in enumerate(rows, 1)}
+    reference = {"output": {f"o{k}": {"constant": 0} for k in (1, 2)}, "outside": {"filter": paces}}
+    both_of = of_spec(load_spec(one | {"system": system, "reference": reference}), given=True, steps=5).file
+    controller, random = Controller(both_of), np.random.default_rng(1)
+    set_points = np.repeat(random.normal(size=(8, 2)), 50, axis=0)
+    alone = [Made(program(2, row, 1e-3), set_points[:, k]).w for k, row in enumerate(rows)]
+    for k, r in enumerate(set_points):
+        controller.step([0.0, 0.0], r)
+        wanted = np.array([alone[0][k], alone[1][k]]).T.ravel()
+        assert controller.state("w").tobytes() == wanted.tobytes()
+
+
 def on_a_grid(state: Any, limits: Any, h: float, count: int) -> bool:
     """Whether so many samples of a jerk that is held in each can bring it to rest at 0: a linear program."""
     V, A, J = limits
@@ -234,6 +270,21 @@ def test_no_bit_differs_in_a_function_block() -> None:
     vector = replace(found.vector, y=found.vector.y[:20], w=found.vector.w[:20] + np.arange(20)[:, None] // 7)
     for single in (False, True):
         assert all(one == other for one, other in both(replace(found, vector=vector), single=single, given=True))
+
+
+@pytest.mark.skipif(c_compiler() is None, reason="no C compiler for Linux on x86-64 is installed")
+@pytest.mark.parametrize("version", [2, 3])
+def test_no_bit_differs_in_an_fmu(version: Version, tmp_path: Path) -> None:
+    file, path, h = subject(3).file, tmp_path / "controller.fmu", 1e-3
+    source = Source(file=file, name="loop", single=False, given=True, unproved=())
+    write_fmu(packed(controller_model(source, 10.0, {}), version, c_compiler()), path)
+    block, python = Block(path, tmp_path), Controller(file)
+    assert [name.split(".")[-1] for name in block.named("", "input")] == ["y", "y"]
+    for k in range(400):
+        values = np.array([0.1 * np.sin(0.01 * k), k // 100 * 0.1])
+        block.set(block.named("", "input"), values)
+        block.step(k * h, h)
+        assert block.get(["u"]).tobytes() == python.step(values[:1], values[1:]).tobytes()
 
 
 @octave

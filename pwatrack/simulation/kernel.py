@@ -1161,12 +1161,12 @@ def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int,
     """Make y_d and its derivatives at room[made:] their means over a window that ends now: they have one more."""
     at = routine.at
     count, first = routine.windows[channel, nth], routine.window_start[channel, nth]
-    product = routine.timing[1] * room[at.made]
+    part = memory[at.past + first + count - 1] - room[at.made]
+    product = routine.timing[1] * part
     value = product
     for k in range(count - 1):
-        value = value + memory[at.past + first + k]
-    product = routine.timing[1] * memory[at.past + first + count - 1]
-    value = value + product
+        part = memory[at.past + first + k] - room[at.made]
+        value = value + part
     value = value / routine.weights[channel, nth, 0]
     part = room[at.made + 1] - memory[at.past + first + 2 * count - 1]
     product = routine.weights[channel, nth, 2] * part
@@ -1178,7 +1178,7 @@ def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int,
     for order in range(nth + 4):
         part = room[at.made + nth + 3 - order] - memory[at.past + first + (nth + 4 - order) * count - 1]
         room[at.made + nth + 4 - order] = part / routine.weights[channel, nth, 1]
-    room[at.made] = value
+    room[at.made] = room[at.made] + value
 
 
 @_as_written
