@@ -156,10 +156,8 @@ def sequences(ruckig: Any, file: Any) -> None:
             k += 1
         late.append(mine / H - k)
     told(f"sequences: largest part of speed, acceleration, jerk: {said(used)} (ours), {said(their)} (Ruckig)")
-    told(
-        f"  at rest later than Ruckig by {min(late):.0f} to {max(late):.0f} samples, median {np.median(late):.0f}: one that"
-    )
-    told("  is just passed for want of a sample is gone back to")
+    told(f"  at rest later than Ruckig by {min(late):.0f} to {max(late):.0f} samples, median {np.median(late):.0f}")
+    told("  (a set-point that is just passed, for want of a sample, is gone back to)")
     told(f"Ruckig: {1e6 * spent / count:.1f} µs an update, from Python")
 
 

@@ -124,7 +124,7 @@ class Plain:
         h, made, new["course"], new["past"] = self.real(self.program.sampling.sample_time), [], [], []
         parts = zip(self.pace, old["course"], old["past"], new["w"], strict=True)
         for (_, *limits), (d, v, a, r), past, given in parts:
-            jerk, zero = limits[2], self.real(0.0)
+            zero = self.real(0.0)
             now = (d + (given - r), v, a)
             d_end = self.pursued(now, zero, self.real(2.0**100), limits)[0][0]
             aim = limits[0] if d_end > 0 else -limits[0] if d_end < 0 else zero
@@ -137,8 +137,8 @@ class Plain:
                     early = early + width
             after, _ = self.pursued(now, aim, early, limits)
             after, left = self.pursued(after, zero, h - early, limits)
-            eps = np.finfo(self.real).eps
-            near = self.real(np.sqrt(eps) * self.program.sampling.sample_time**3 * float(jerk))
+            eps, steps = np.finfo(self.real).eps, enumerate(limits[:3], 1)
+            near = self.real(np.sqrt(eps) * min(float(m) * self.program.sampling.sample_time**k for k, m in steps))
             if left > 0 and -near < after[0] < near:
                 after = (zero, *after[1:])
             degree = min(self.program.sizes["s"] // len(self.pace) - 1, 3)

@@ -189,7 +189,7 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
     failed = f"Its run FAILED: {'; '.join(source.file.failed)}. " if source.file.failed else ""
     reference = "The reference is made inside, from the first step on; pass NULL for it."
     if source.given:
-        reference = f"`ref` is, in this order: {', '.join(program.given)}."
+        reference = f"`ref` is, in this order: {source.entries}."
     late = program.sampling.delay
     return {
         "title": source.file.name,

@@ -28,7 +28,7 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
 
     of = program.sizes
     corrects, h = program.sampling.corrects, program.sampling.sample_time
-    near = np.sqrt(np.finfo(real).eps) * h**3 * program.pace[:, 3:4]
+    near = np.sqrt(np.finfo(real).eps) * (program.pace[:, 1:4] * h ** np.arange(1, 4)).min(axis=1, keepdims=True)
     windows = program.windows
     kept = windows * np.arange(4, 4 + windows.shape[1])
     s, known = of["s"], of["N"] - of["n"] + of["p"] + of["s"]
