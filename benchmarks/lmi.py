@@ -7,19 +7,23 @@ takes to know that there is none, where Clarabel is asked for any solution and e
 design, K and L with all proofs, beside what the fastest other solver needs for one such margin. Each solver
 runs alone in a process of its own on one thread, which is ended after --limit seconds; times are processor times, the
 smallest of --repeat for us and one for the others. One that has been ended once is not asked for more of its kind, and
-one that is not installed is left out.
+one that is not installed is left out. SDPA and CSDP are programs that read files: writing these is not counted.
 """
 
 import argparse
 import json
+import re
 import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
 from typing import Any
 
 import numpy as np
@@ -37,6 +41,34 @@ from pwatrack.lmi.program import SemidefiniteProgram, largest_margin, least_viol
 from pwatrack.lmi.solve import solve
 
 GAP = 1e-6
+CSDP_PARAMETERS = """axtol=1.0e-8
+atytol=1.0e-8
+objtol=1.0e-6
+pinftol=1.0e8
+dinftol=1.0e8
+maxiter=100
+minstepfrac=0.90
+maxstepfrac=0.97
+minstepp=1.0e-8
+minstepd=1.0e-8
+usexzgap=1
+tweakgap=0
+affine=0
+printlevel=1
+perturbobj=1
+fastmode=0
+"""  # its own, but for the gap
+SDPA_PARAMETERS = """100 unsigned int maxIteration;
+1.0E-6 double 0.0 < epsilonStar;
+1.0E2 double 0.0 < lambdaStar;
+2.0 double 1.0 < omegaStar;
+-1.0E5 double lowerBound;
+1.0E5 double upperBound;
+0.1 double 0.0 <= betaStar < 1.0;
+0.3 double 0.0 <= betaBar < 1.0, betaStar <= betaBar;
+0.9 double 0.0 < gammaStar < 1.0;
+1.0E-6 double 0.0 < epsilonDash;
+"""  # likewise
 _KNOWN = 0.9  # gap at which the least violation is known to be above 0
 BOUND_OF_Y = 10.0  # relative to ‖A‖ / ‖B‖
 CELLS, STATES = (8, 16, 32, 64, 128), (8, 12, 20, 30, 50)
@@ -170,6 +202,55 @@ def _images(program: SemidefiniteProgram, c: Any) -> Array:
     return np.stack(parts, axis=1)
 
 
+def from_file(command: str) -> Callable[[SemidefiniteProgram], float]:
+    """Return a solver that is a program of its own, and reads the program from a file in SDPA's sparse format.
+
+    That has no equalities: one variable makes up for each.
+    """
+
+    def objective(program: SemidefiniteProgram) -> float:
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            constant = _write_sparse(program, folder / "program.dat-s")
+            (folder / "param.csdp").write_text(CSDP_PARAMETERS, encoding="ascii")
+            (folder / "param.sdpa").write_text(SDPA_PARAMETERS, encoding="ascii")
+            asked = ["program.dat-s", "program.out"]
+            if command == "sdpa":
+                asked = ["-ds", asked[0], "-o", asked[1], "-p", "param.sdpa", "-numThreads", "1"]
+            run = subprocess.run([command, *asked], cwd=folder, capture_output=True, text=True, check=False)
+            said = run.stdout + ((folder / "program.out").read_text() if command == "sdpa" else "")
+        values = re.findall(r"(?:objValPrimal\s*=|Primal objective value:)\s*(\S+)", said)
+        return float(values[-1]) + constant
+
+    return objective
+
+
+def _write_sparse(program: SemidefiniteProgram, path: Path) -> float:
+    """Write min c·x, Σ x_k F_k − F_0 ⪰ 0, and return what is to be added to the objective."""
+    images, constants = [_images(program, c) for c in program.constraints], [c.constant for c in program.constraints]
+    size = images[0].shape[1]
+    cost, offset, kept = program.price * np.eye(size)[-1], 0.0, np.arange(size)
+    below, right = np.tril_indices(program.n)
+    for E, value in program.equalities:
+        row = np.append(np.where(below == right, 1.0, 2.0) * E[below, right], np.zeros(size - len(below)))
+        k = int(np.argmax(np.abs(row)))
+        images, constants = (
+            [image - (row / row[k])[:, None, None] * image[:, [k]] for image in images],
+            [constant + value / row[k] * image[:, k] for image, constant in zip(images, constants, strict=True)],
+        )
+        cost, offset, kept = cost - cost[k] / row[k] * row, offset + cost[k] * value / row[k], kept[kept != k]
+    blocks = [(image[i], constant[i]) for image, constant in zip(images, constants, strict=True)
+              for i in range(len(constant))]  # fmt: skip
+    lines = [str(len(kept)), str(len(blocks)), " ".join(str(len(constant)) for _, constant in blocks)]
+    lines.append(" ".join(map(repr, cost[kept].tolist())))
+    for b, (image, constant) in enumerate(blocks, 1):
+        for number, matrix in enumerate([constant, *(-image[kept])]):
+            for i, j in np.argwhere(np.triu(matrix)).tolist():
+                lines.append(f"{number} {b} {i + 1} {j + 1} {float(matrix[i, j])!r}")
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return offset
+
+
 REFUTERS = {"ours": refuted, "Clarabel": clarabel_refutes}
 SOLVERS: dict[str, tuple[Callable[[SemidefiniteProgram], float], tuple[str, ...]]] = {
     "ours": (ours, ()),
@@ -180,6 +261,8 @@ SOLVERS: dict[str, tuple[Callable[[SemidefiniteProgram], float], tuple[str, ...]
     ),
     "CVXPY + SDPA": (cvxpy("SDPA", epsilonStar=GAP, epsilonDash=GAP, numThreads=1), ("cvxpy", "sdpap")),
     "PICOS + CVXOPT": (picos, ("picos", "cvxopt")),
+    "SDPA": (from_file("sdpa"), ("/sdpa",)),
+    "CSDP": (from_file("csdp"), ("/csdp",)),
 }
 
 
@@ -222,7 +305,8 @@ def alone(name: str, kind: str, n: int, cells: int, repeat: int) -> None:
     objective_by = SOLVERS[name][0]
     objective_by(program_of(kind, 3, 2))
     program = program_of(kind, n, cells)
-    _report(lambda: objective_by(program), repeat, certain(program) if objective_by is ours else np.nan)
+    clock = _of_others if SOLVERS[name][1][:1] in (("/sdpa",), ("/csdp",)) else time.process_time
+    _report(lambda: objective_by(program), repeat, certain(program) if objective_by is ours else np.nan, clock)
 
 
 def decided(by: str, n: int, cells: int, repeat: int) -> None:
@@ -239,13 +323,25 @@ def designed(n: int, cells: int, repeat: int) -> None:
     _report(lambda: design(n, cells), repeat)
 
 
-def _report(run: Callable[[], float], repeat: int, off: float = np.nan) -> None:
+def _report(
+    run: Callable[[], float], repeat: int, off: float = np.nan, clock: Callable[[], float] = time.process_time
+) -> None:
     least, value = np.inf, np.nan
     for _ in range(repeat):
-        start = time.process_time()
+        start = clock()
         value = run()
-        least = min(least, time.process_time() - start)
+        least = min(least, clock() - start)
     sys.stdout.write("\n" + json.dumps([least, value, off]) + "\n")
+
+
+def _is_there(need: str) -> bool:
+    """Whether a module is installed, or behind a slash a program."""
+    return bool(which(need[1:]) if need[0] == "/" else find_spec(need))
+
+
+def _of_others() -> float:
+    """Return the processor time of the processes that this one has waited for: it writes their files for nothing."""
+    return sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
 
 
 def exponent(sizes: list[int], times: list[float]) -> str:
@@ -269,7 +365,7 @@ class Measured:
         self.names = [
             name
             for name, (_, needs) in SOLVERS.items()
-            if (not needs or name in options.peers) and all(find_spec(module) for module in needs)
+            if (not needs or name in options.peers) and all(map(_is_there, needs))
         ]
         self._found = dict[tuple[str, int, int], tuple[float, float, float]]()
 

@@ -35,7 +35,7 @@ from tests.sampled import worst_found
 SPECS = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]
 _SAMPLES = 25  # in a period of the fastest mode
 _MOST = 20_000  # samples of a run
-_SWITCHINGS = 20  # that are tried against each bound
+_SWITCHINGS = 100  # that are tried against each bound
 
 
 def sample_time(controller: ProvedController) -> float:

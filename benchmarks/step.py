@@ -4,7 +4,9 @@
 
 The plant is a chain of four masses, eight states, with backlash: three cells. All three run the same controller, that
 of `method: emulated`, on the same measurements; before anything is timed their inputs must agree. Each C program times
-the same steps several times, in turns with the other, and the best time of each counts.
+the same steps several times, in turns with the other, and the best time of each counts. Beside them is the exported
+program that predicts and corrects, on measurements of its own loop: another controller, the one of the same plant that
+is the default.
 """
 
 import subprocess
@@ -209,34 +211,48 @@ def with_control(program: SampledController, start: Any, y: Array) -> tuple[floa
 
 def timed(folder: Path, name: str) -> tuple[float, Array]:
     """Run a program: nanoseconds for each step, and its inputs."""
-    said = subprocess.run([folder / name], check=True, capture_output=True, text=True).stdout.split()
+    said = subprocess.run([folder / f"{name}.exe"], check=True, capture_output=True, text=True).stdout.split()
     return float(said[0]), np.array(said[1:], dtype=np.float64)
 
 
+def exported(folder: Path, name: str, spec: str) -> tuple[Source, Array]:
+    """Export a spec as C into a folder of its name; return the program, and what is measured in its loop."""
+    (folder / f"{name}.yaml").write_text(spec, encoding="utf-8")
+    subject = of_spec(load_spec(folder / f"{name}.yaml"), steps=2000)
+    code = Source(file=subject.file, name=name, single=False, given=False, unproved=subject.unproved)
+    (folder / name).mkdir()
+    write(code, subject.vector, folder / name)
+    return code, subject.vector.y
+
+
+def compiled(folder: Path, name: str, text: str, include: Path, *, alone: bool = False) -> None:
+    """Compile a program that is timed, with the exported one of a folder unless it is alone."""
+    (folder / f"{name}.c").write_text("#include <stddef.h>\n" + text, encoding="utf-8")
+    flags = FLAGS.replace("-std=c99", "-std=gnu99").replace("-Werror", "").split()
+    sources = [] if alone else [str(include / f"{include.name}.c")]
+    command = ["gcc", *flags, "-w", "-O2", "-I", str(include), "-o", f"{name}.exe", f"{name}.c", *sources, "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+
+
 def main(steps: int) -> int:
-    """Time all three, after their inputs agree."""
+    """Time all, after the inputs of one controller agree."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        (folder / "chain.yaml").write_text(SPEC, encoding="utf-8")
-        subject = of_spec(load_spec(folder / "chain.yaml"), steps=2000)
-        code = Source(file=subject.file, name="loop", single=False, given=False, unproved=subject.unproved)
-        write(code, subject.vector, folder)
-        y, rounds, program, start = subject.vector.y, max(1, steps // 2000), code.program, subject.file.start
-        ours = {
-            "declared": '#include "loop.h"\n',
-            "begin": "loop_state state; loop_init(&state);",
-            "step": "loop_step(&state, vector_y[k], NULL, &u[k]);",
-        }
+        emulated, y = exported(folder, "loop", SPEC)
+        exported(folder, "corrected", SPEC.replace(", method: emulated", ""))
+        rounds, program, start = max(1, steps // 2000), emulated.program, emulated.file.start
+        for name, where in (("ours", "loop"), ("corrected", "corrected")):
+            parts = {
+                "declared": f'#include "{where}.h"\n',
+                "begin": f"{where}_state state; {where}_init(&state);",
+                "step": f"{where}_step(&state, vector_y[k], NULL, &u[k]);",
+            }
+            compiled(folder, name, TIMED.format(rounds=rounds, **parts), folder / where)
         theirs = {"declared": dense(program, start), "begin": "begin();", "step": "u[k] = step(vector_y[k], k == 0);"}
-        flags = FLAGS.replace("-std=c99", "-std=gnu99").replace("-Werror", "").split()
-        for name, parts, sources in (("ours", ours, ["loop.c"]), ("dense", theirs, [])):
-            text = TIMED.format(rounds=rounds, **parts)
-            (folder / f"{name}.c").write_text("#include <stddef.h>\n" + text, encoding="utf-8")
-            command = ["gcc", *flags, "-w", "-O2", "-o", name, f"{name}.c", *sources, "-lm"]
-            subprocess.run(command, cwd=folder, check=True)
-        runs = {name: [timed(folder, name) for _ in range(5)] for name in ("ours", "dense")}
+        compiled(folder, "dense", TIMED.format(rounds=rounds, **theirs), folder / "loop", alone=True)
+        runs = {name: [timed(folder, name) for _ in range(5)] for name in ("ours", "dense", "corrected")}
         seconds, u_control = with_control(program, start, y)
-    u = {name: found[0][1] for name, found in runs.items()} | {"python-control": u_control}
+    u = {name: found[0][1] for name, found in runs.items() if name != "corrected"} | {"python-control": u_control}
     largest = float(np.abs(u["ours"]).max())
     off = {name: float(np.abs(values - u["ours"]).max()) / largest for name, values in u.items()}
     if max(off.values()) > 1e-9:

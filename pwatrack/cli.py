@@ -164,8 +164,8 @@ def simulate(
     solver: SolverName = None,
     ensemble: Annotated[int | None, typer.Option(min=1, metavar="M", help="Also run M variations of the loop.")] = None,
     over: Annotated[
-        Literal["initial", "parameters", "noise"] | None,
-        typer.Option(help="What differs between them.", show_default="initial"),
+        Literal["initial", "parameters", "noise", "plane"] | None,
+        typer.Option(help="What differs between them; plane: starts in two states.", show_default="initial"),
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the random numbers that they are drawn with.", show_default="1")

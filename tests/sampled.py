@@ -141,17 +141,19 @@ def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int, *, 
     held, between = drive.held.floats, drive.between.floats
     kick = None if drive.ticks is None else drive.ticks.floats
     shares = random.dirichlet(np.full(len(F), 0.1), size=parts * fine)
-    last, total, most = c.copy(), 0.0, 0.0
-    for _ in range(150):  # backwards from the end
-        for part in reversed(range(parts)):
-            for k in reversed(range(fine)):
-                A = np.tensordot(shares[part * fine + k], F, 1)
-                g = A @ held + between
-                whole = expm(np.block([[A, g], [np.zeros((1, n + 1))]]) * dt)
-                added = abs(float((last @ whole[:n, n:]).item()))
-                total, most = total + added, max(most, added / dt)
-                last = last @ whole[:n, :n]
-            last = last @ (R if part else np.eye(n))
-        total += 0.0 if kick is None else abs(float((last @ kick).item()))
+    stretches = list[tuple[Array, Array]]()  # of a period, what each turns z by and adds to it
+    for A in np.tensordot(shares, F, 1):
+        whole = expm(np.block([[A, A @ held + between], [np.zeros((1, n + 1))]]) * dt)
+        stretches.append((whole[:n, :n], whole[:n, n]))
+    last, total, most = c[0].copy(), 0.0, 0.0
+    for _ in range(150):  # periods, backwards from the end
+        for k in reversed(range(parts * fine)):
+            turn, added = stretches[k]
+            size = abs(float(last @ added))
+            total, most = total + size, max(most, size / dt)
+            last = last @ turn
+            if k % fine == 0 and k:
+                last = last @ R
+        total += 0.0 if kick is None else abs(float(last @ kick[:, 0]))
         last = last @ J
     return most if summed else total

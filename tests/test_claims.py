@@ -155,6 +155,9 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         "gallery/carriage_on_slack_rope",
     ):
         yield specs / f"{name}.yaml"
+    text = (specs / "gallery" / "gear_with_backlash.yaml").read_text(encoding="utf-8")
+    (tmp_path / "gear.yaml").write_text(text.replace("simulation: {", "simulation: {controller: {sample_time: 3e-3}, "))
+    yield tmp_path / "gear.yaml"
     (tmp_path / "rod.yaml").write_text(ROD)
     yield tmp_path / "rod.yaml"
     yield cart(tmp_path, RUNAWAY["other parameters"], reference="0.08*cos(t)")

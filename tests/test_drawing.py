@@ -1,4 +1,6 @@
 from concurrent.futures import Executor, Future
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox, BboxBase
+from PIL import Image
 
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
@@ -15,7 +18,9 @@ from pwatrack.batch.pool import Lost, Pool
 from pwatrack.report.drawing import begin, prepare
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.canvas import png
+from pwatrack.report.plots.cells import active_cells
 from pwatrack.report.plots.elements import nonlinearities
+from pwatrack.report.plots.errors import observer_error
 from pwatrack.report.plots.pictures import pictures
 from pwatrack.report.plots.spread import fan
 from tests.test_cli import call
@@ -197,3 +202,23 @@ def test_check_draws_the_nonlinearities_of_a_plant_that_has_some(specs: Path, tm
     assert run.exit_code == 2
     assert "written by its cells" in run.stderr
     assert not (tmp_path / "none.png").exists()
+
+
+@pytest.mark.slow
+def test_a_stay_that_is_shorter_than_a_dot_is_seen(specs: Path) -> None:
+    """Each row of a cell that was visited has ink: some stays of this run are a hundredth of a dot long."""
+    result = simulate(load_spec(specs / "gallery" / "train_slack_couplings.yaml"))
+    figure = active_cells(result)
+    ink = np.asarray(Image.open(BytesIO(png(figure))).convert("L")) < 128
+    for axes in figure.axes:
+        for row in range(len(axes.get_yticks())):
+            middle = axes.transData.transform((0, row))[1]
+            line = ink[int(ink.shape[0] - middle)]
+            assert line[int(axes.bbox.x0) + 3 : int(axes.bbox.x1) - 3].any(), axes.get_yticklabels()[row].get_text()
+
+
+def test_an_error_that_is_0_at_all_times_is_said_to_be(result: Result) -> None:
+    still = replace(result, response=replace(result.response, x_hat=result.response.x))
+    texts = [text.get_text() for axes in observer_error(still).axes for text in axes.texts]
+    assert texts == ["0 at all times, in the simulation"]
+    assert not [axes.texts for axes in observer_error(result).axes if axes.texts]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pwatrack import load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.batch.run import run_batch
+from pwatrack.report.terminal import told
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.workflow.outcome import grows
@@ -229,7 +230,7 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
     _, first, *_ = lines(run.stdout)
-    assert re.match(r"simulated 20 s, limits, disturbance: off, error \S+ m in the last tenth \(\S+ at worst\)$", first)
+    assert re.match(r"simulated 20 s, limits, disturbance: off, error \S+ m in the last tenth, \S+ at worst$", first)
     assert "NOT proved for u limited to [-0.1, 0.1]" in lines(run.stdout)
     said = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
     assert "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt" in said
@@ -239,7 +240,7 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
 def test_a_good_run_says_so_in_a_line(tmp_path: Path) -> None:
     run = call("simulate", cart(tmp_path), "--out", tmp_path / "out")
     _, first, second, third, *_ = lines(run.stdout)
-    assert re.match(r"simulated 20 s: tracks, error \S+ m in the last tenth \(\S+ at worst\)$", first)
+    assert re.match(r"simulated 20 s: tracks, error \S+ m in the last tenth, \S+ at worst$", first)
     assert re.match(r"warning a mode at 3.16 rad/s has damping 0:", second)  # the file has none
     assert re.match(r"guarantee error to 0 from every start, time constant \S+ s \(Theorem 3\)", third)
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "tracks"
@@ -314,3 +315,13 @@ def test_the_outcome_does_not_depend_on_the_blocks(tmp_path: Path, monkeypatch: 
     whole = simulate(load_spec(path)).outcome
     monkeypatch.setattr("pwatrack.workflow.pipeline.MOST_KEPT", 37)
     assert simulate(load_spec(path)).outcome == whole
+
+
+def test_too_little_memory_is_no_bug_and_says_what_was_too_large() -> None:
+    try:
+        np.empty(10**17)
+    except MemoryError as error:
+        code, (said, hint) = told(error)
+    assert code == 1
+    assert re.fullmatch(r"error: out of memory: Unable to allocate .* \(test_outcome.py:\d+\) \[P100\]", said)
+    assert "fewer states" in hint

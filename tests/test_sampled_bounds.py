@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import program
@@ -473,3 +474,55 @@ def test_a_run_above_its_bound_is_a_numerical_error(sampled: tuple[Spec, ProvedC
     claims = tuple(replace(one, tubes=small, acts=acts) if one is claim else one for one in controller.claims)
     broken = simulate(spec, replace(controller, claims=claims))
     assert broken.outcome.kind == "above its bound"
+
+
+@pytest.fixture(scope="module")
+def merged(specs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedController]:
+    """A gear whose exact tracking is refused: its play is merged in the design and in the program."""
+    text = (specs / "gallery" / "gear_with_backlash.yaml").read_text(encoding="utf-8")
+    path = tmp_path_factory.mktemp("merged") / "plant.yaml"
+    path.write_text(text.replace("simulation: {", "simulation: {controller: {sample_time: 3e-3}, "), encoding="utf-8")
+    spec = load_spec(path)
+    return spec, design(spec)
+
+
+def test_what_is_merged_acts_on_the_sampled_loop_as_large_as_it_is(merged: tuple[Spec, ProvedController]) -> None:
+    _, controller = merged
+    claim, (merge,) = the_bounds(controller), controller.claim(Practical).merges
+    assert list(claim.tubes) == [("deviation", 0)]
+    assert np.sqrt(claim.acts.squares["deviation", 0]) == pytest.approx(float(merge.largest), rel=1e-12)
+    drive, (n, m, N, *_) = driven(claim.errors, ("deviation", 0)), claim.errors.widths
+    column = merge.column.floats[:, 0]
+    assert drive.between.floats[:n, 0] == pytest.approx(column)
+    assert drive.between.floats[n + m : n + m + N, 0] == pytest.approx(-column)  # x̂ does not feel it
+    for form in claim.forms:
+        size = claim.tubes["deviation", 0][0].sizes[claim.forms.index(form)]
+        worst = max(worst_found(claim, ("deviation", 0), row(claim.errors, form).floats, seed) for seed in range(3))
+        assert 0.1 * size < worst <= size
+
+
+def test_a_run_of_the_true_plant_ends_within_the_bound_of_the_sampled_loop(
+    merged: tuple[Spec, ProvedController],
+) -> None:
+    spec, controller = merged
+    run, end = simulate(spec, controller), the_bounds(controller).ends_below(controller)["output", 0]
+    assert run.outcome.kind == "within its bound"
+    assert 0.02 * end < run.final_error <= end
+    continuous = controller.claim(Practical).final["output", 0]
+    assert continuous < end < 2 * continuous
+
+
+def test_what_is_merged_is_in_the_certificate_of_the_sampled_loop(merged: tuple[Spec, ProvedController]) -> None:
+    spec, controller = merged
+    content = json.loads(json.dumps(design_certificate(spec, controller)))
+    said, faults = audit(json.dumps(content))
+    assert not faults
+    assert "the sampled loop: what 1 disturbances, noises and inputs leave is proved" in said
+    (told,) = SampledBounds.read(content, controller, asking(spec, controller, the_bounds(controller).errors.gains))
+    assert told.data(controller) == the_bounds(controller).data(controller)
+    for forged in (["deviation", 1], ["disturbance", 0]):
+        other = copy.deepcopy(content)
+        other["sampled_bounds"][0]["channel"] = forged
+        assert audit(json.dumps(other))[1]
+    content["practical"]["observer_runs"] = "all cells"
+    assert audit(json.dumps(content))[1]

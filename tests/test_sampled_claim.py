@@ -313,11 +313,13 @@ def test_loads_elsewhere_than_at_inputs_are_not_tried(tmp_path: Path) -> None:
     assert claim.missing == "loads that are estimated do not only act at inputs, one for each tracked output"
 
 
-def test_merged_cells_are_not_tried(section: tuple[Spec, ProvedController]) -> None:
+def test_a_program_that_runs_all_cells_of_a_design_with_merged_ones_is_not_tried(
+    section: tuple[Spec, ProvedController],
+) -> None:
     spec, controller = section
     watched = replace(controller, plant=replace(controller.plant, watched=controller.plant))
     (claim,) = SampledLoop.prove(watched, asking(spec, controller, gains_of(controller, 0.05)))
-    assert claim.missing == "cells are merged, and what is merged would act on the prediction too"
+    assert claim.missing == "the observer runs all cells of the plant, and the rest of the design merged ones"
 
 
 def test_a_plant_with_too_many_cells_is_not_tried(section: tuple[Spec, ProvedController]) -> None:

@@ -29,6 +29,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.ellipsoid import StartEllipsoid, held
+from pwatrack.rational import floats
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
@@ -67,6 +68,17 @@ class StartGuarantee:
         sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
         moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
         return {k: float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size}
+
+    def section(self, left: Array, plane: Sequence[int]) -> Array | None:
+        """Return C, (2, 2): x − x_d = C w with |w| ≤ 1 in two states, all other errors 0, is a start that it is about.
+
+        None where it is about none, or about all.
+        """
+        scale = self.scale(left)
+        if self.held is None or not 0 < scale < np.inf:
+            return None
+        inverse = np.linalg.inv(floats(self.held.P))[np.ix_(plane, plane)]
+        return np.asarray(scale * np.linalg.cholesky(np.linalg.inv(inverse)))
 
     def said(self, left: Array, *, loads: bool) -> str:
         """Say from which starts it is that each |u − u_ff| ≤ left, (m,), of a plant with or without loads."""

@@ -33,12 +33,14 @@ class SampledLoop(Claim):
         proof: Forms that prove it; None where it is not proved.
         missing: Why it is not; "" where it is.
         design: Plant, K and L that gains for other sample times can be made of; None where it is from a file.
+        merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
     """
 
     gains: SampledGains
     proof: ClockedProof | None
     missing: str = ""
     design: tuple[PWASystem, Array, Array] | None = field(default=None, compare=False, repr=False)
+    merged: bool = False
 
     statement: ClassVar[str] = (
         "Under sampled: P of z = (x - x_d, nu, x_hat_i - x, s_hat_i - s, rho_i), with x_hat_i as it is predicted for "
@@ -67,7 +69,8 @@ class SampledLoop(Claim):
             if asked.sampled is not None and not any(_same(gains, each) for each in tried):
                 raise ValueError("the gains of the sampled loop are not those of its certificate")
             P = tuple(Packed(**whole(one)) for one in told["P"])
-            yield cls(gains=gains, proof=ClockedProof(P=P, rate=double(told["rate"])))
+            proof = ClockedProof(P=P, rate=double(told["rate"]))
+            yield cls(gains=gains, proof=proof, merged=bool(controller.claims_of(Practical)))
         elif asked.sampled is not None:
             gains = next(_candidates(controller, asked, asked.sampled))
             yield cls(gains=gains, proof=None, missing=_beyond(controller, gains) or _NOT_FOUND)
@@ -117,7 +120,8 @@ class SampledLoop(Claim):
         return (
             f"{every}, of the plant as designed, while no limit of an input is reached: errors go at least as fast as "
             f"e^(−{down(self.rate)} t), for any switching, between ticks too, to what acts on it leaves: x_d and "
-            "u_ff moving in a sample time, what is played back, disturbances, noise, steps and rounding"
+            f"u_ff moving in a sample time, what is played back{', what is merged' * self.merged}, disturbances, "
+            "noise, steps and rounding"
         )
 
     @property
@@ -155,8 +159,8 @@ def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:
 
 def _beyond(controller: ProvedController, gains: SampledGains) -> str:
     """Return why nothing is tried; "" where it is."""
-    if controller.claims_of(Practical) or controller.plant.watched is not None:
-        return "cells are merged, and what is merged would act on the prediction too"
+    if controller.plant.watched is not None:
+        return "the observer runs all cells of the plant, and the rest of the design merged ones"
     plant, square = controller.plant, len(controller.plant.tracked) == controller.plant.B.shape[1]
     if plant.loads is not None and (plant.loads.inputs(plant.exact.B) is None or not (square or not controller.form)):
         return "loads that are estimated do not only act at inputs, one for each tracked output"
@@ -174,7 +178,8 @@ def _proved(controller: ProvedController, tried: Sequence[SampledGains]) -> Samp
     design = controller.plant, controller.design.K, controller.design.L
     found = (with_forms(controller.plant, gains) for gains in tried)
     gains, proof = next((each for each in found if each is not None), (tried[0], None))
-    return SampledLoop(gains=gains, proof=proof, missing=_NOT_FOUND if proof is None else "", design=design)
+    missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
+    return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, merged=merged)
 
 
 def _same(one: SampledGains, other: SampledGains) -> bool:

@@ -21,6 +21,7 @@ from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
 from pwatrack.ball_matrix import above
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
+from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
@@ -59,7 +60,8 @@ class SampledBounds(Claim):
 
     statement: ClassVar[str] = (
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
-        "signal: of a disturbance of a state equation, of what is measured off at ticks, of the steps of u, beside nu, "
+        "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
+        "at ticks, of the steps of u, beside nu, "
         "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
         "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it "
         "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks and "
@@ -161,7 +163,8 @@ class SampledBounds(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what acts, and what it leaves."""
-        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in self._named(words))
+        named = self._named(words, controller)
+        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
         ends = ", ".join(words.limits(_shown(self.ends_below(controller))))
         if not acts and not any(each.any() for each in self.acts.beside.values()):
             yield "in this run", "nothing acts on the sampled loop: its errors go to 0, but for rounding"
@@ -194,7 +197,7 @@ class SampledBounds(Claim):
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return what acts, what 1 of it leaves of each signal, and what all of it does."""
         ends = self.ends_below(controller)
-        acts = dict(zip(self.acts.squares, self._named(words), strict=True))
+        acts = dict(zip(self.acts.squares, self._named(words, controller), strict=True))
         return {
             "sampled_bounds": {
                 "acts": {name: {"at_most": size, "unit": unit} for (name, unit), size in acts.values()},
@@ -211,13 +214,16 @@ class SampledBounds(Claim):
             }
         }
 
-    def _named(self, words: Words) -> Iterator[tuple[tuple[str, str], float]]:
+    def _named(self, words: Words, controller: ProvedController) -> Iterator[tuple[tuple[str, str], float]]:
         """Yield what acts in words, with its unit, and its size."""
         plant, units = words.plant, words.units
+        merged = [merge for claim in controller.claims_of(Practical) for merge in claim.merges]
         for (kind, k), squares in self.acts.squares.items():
             size = _above(float(np.sqrt(squares.max())))
             if kind == "input":
                 yield (f"steps of {plant.inputs[k]}", units.get(plant.inputs[k], "")), size
+            elif kind == "deviation":
+                yield (f"what is merged of {merged[k].nonlinearity.name}", ""), size
             elif kind in ("moved", "nominal"):
                 rows = zip(self.errors.R.texts[k], plant.states, strict=True)
                 entries = [(v, name) for v, name in rows if v != "0"]
@@ -252,7 +258,9 @@ def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[Clocked
     """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
     for loop in controller.claims_of(SampledLoop):
         if loop.proof is not None and asked.acting is not None:
-            errors = SampledErrors.of(controller.plant, loop.gains)
+            merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
+            deviations = [(merge.column, float(np.nextafter(float(merge.largest), np.inf))) for merge in merged]
+            errors = SampledErrors.of(controller.plant, loop.gains, deviations)
             acts = asked.acting(controller, errors)
             if acts is not None:
                 yield loop.proof, errors, acts

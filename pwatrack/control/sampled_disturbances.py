@@ -8,6 +8,7 @@ which one row alone is 1: with the unit vectors ε_k of these columns (A_i − A
 is left is driven, with `sampled_error`, by scalars, each as large as it likes:
 
     ("disturbance", k)   d in the k-th state equation: e' + d ε_k and all Δ' − d ε_k, so that ρ' is what it was
+    ("deviation", k)     likewise with E_k in place of ε_k: what merging leaves out of the k-th element
     ("noise", k)         d on the k-th output as it is measured at a tick: (Δ, σ)⁺ − M ε_k d, ν⁺ − K M ε_k d; where
                          inputs are late only (Δ_0, σ_0)⁺
     ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
@@ -28,7 +29,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, above, zero
@@ -70,7 +71,7 @@ def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where
     """
     step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
     if channel[0] == "noise":
-        ticks = lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
+        ticks = scipy.signal.lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
         return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
     if tube.summed:
         return faded(acts.means[channel] * where * step, tube.a / 2 * step)
@@ -84,7 +85,7 @@ def faded(added: Array, fall: float) -> Array:
         >>> faded(np.array([1.0, 0.0, 1.0]), np.log(2)).round(2).tolist()
         [1.0, 1.0, 1.5]
     """
-    after = lfilter([1.0], [1.0, -np.exp(-fall)], added)
+    after = scipy.signal.lfilter([1.0], [1.0, -np.exp(-fall)], added)
     return np.asarray((np.append(0.0, after[:-1]) + added) * OVER_POWERS)
 
 
@@ -96,8 +97,8 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         M = BallMatrix.of(errors.gains.M[:, [k]])
         kick = zero(m, 1) if errors.gains.delay else BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
         return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(order - n - m - N, 1)))
-    if kind == "disturbance":
-        one = _unit(n, k)
+    if kind in ("disturbance", "deviation"):
+        one = _unit(n, k) if kind == "disturbance" else errors.deviations[k][0]
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":

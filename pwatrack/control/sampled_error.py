@@ -26,8 +26,9 @@ With delay ν has −U σ_d of its tick, and e' no − E σ_0. So one sample of 
 A tick that comes λ h after the one before finds x̃ predicted for h all the same. In the time of the program, which is h
 from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else 1 − λ multiplies is x_d'.
 
-ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n and
-steps of the generator beside (15) act from outside. Of other loads ŝ would move x_d and ω: nothing is said of these.
+ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n,
+steps of the generator beside (15), and what merged cells leave out act from outside. Of other loads ŝ would move x_d
+and ω: nothing is said of these.
 """
 
 from collections.abc import Mapping, Sequence
@@ -57,6 +58,8 @@ class SampledErrors:
         cells: A_i that have those of all cells in their hull.
         changes: A_a − A_b, likewise.
         R: Rows that span the rows of these, each with a column in which it alone is 1.
+        deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
+            at most; the program predicts with merged cells too.
     """
 
     plant: PWASystem
@@ -64,14 +67,17 @@ class SampledErrors:
     cells: Sequence[BallMatrix]
     changes: Sequence[BallMatrix]
     R: BallMatrix
+    deviations: Sequence[tuple[BallMatrix, float]] = ()
 
     @classmethod
-    def of(cls, plant: PWASystem, gains: SampledGains) -> "SampledErrors":
+    def of(
+        cls, plant: PWASystem, gains: SampledGains, deviations: Sequence[tuple[BallMatrix, float]] = ()
+    ) -> "SampledErrors":
         """Find cells and changes that the others are means of."""
         cells = outermost_cells(plant)
         changes = outermost([one - other for one, other in permutations(cells, 2)])
         R = held_rows(changes, plant.B.shape[0])
-        return cls(plant=plant, gains=gains, cells=cells, changes=changes, R=R)
+        return cls(plant=plant, gains=gains, cells=cells, changes=changes, R=R, deviations=deviations)
 
     @property
     def predicted(self) -> int:

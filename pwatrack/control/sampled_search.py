@@ -16,7 +16,7 @@ from pwatrack.model.pwa import PWASystem
 
 _TRIED = ((1, 1), (2, 1), (2, 2), (4, 2))  # times as many substeps, and segments of each: what is tried
 _OF_ONE = ((1, 1), (1, 2), (1, 4))  # the same of a prediction without substeps
-_MOST_WORK = 40_000  # inequalities times the square of their order: an auditor takes about 10 steps for each
+_MOST_WORK = 100_000  # inequalities times the square of their order: an auditor takes about 10 steps for each
 _MOST_OF_MANY = 13_000  # the same where many sample times are looked at: each takes half a second then
 _NEAR = 0.05  # of the longest sample time: how near to it one is looked for
 _DIGITS = 3  # of a sample time that is looked at

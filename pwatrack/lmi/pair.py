@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 from scipy.linalg import schur
-from scipy.optimize import minimize_scalar
 
 from pwatrack.arrays import Array
 
@@ -156,5 +156,7 @@ def _least(value: Callable[[float], float], about: float) -> float:
         return about
     middle, reach = about + float(_GRID[best]), float(_GRID[1] - _GRID[0])
     ends = middle - reach, middle + reach
-    found = minimize_scalar(lambda x: min(value(x), 1e3), bounds=ends, method="bounded", options={"xatol": _NEAR})
+    found = scipy.optimize.minimize_scalar(
+        lambda x: min(value(x), 1e3), bounds=ends, method="bounded", options={"xatol": _NEAR}
+    )
     return float(found.x) if found.fun <= values[best] else middle

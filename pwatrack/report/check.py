@@ -36,7 +36,7 @@ def check_screen(
     said = can_be_designed(report, why_not, refused=refused)
     first = textwrap.wrap(visible(said), COLUMNS, max_lines=3, placeholder=" …")
     rows = [*plant_rows(report, name), *([("reference", reference)] if reference else [])]
-    rows += [("sizes", size_texts(sizes)[0].removeprefix("sizes: "))] if sizes else []
+    rows += [("sizes", f"what counts as 1: {size_texts(sizes)[0].removeprefix('sizes: ')}")] if sizes else []
     rows += [("remark", remark) for remark in (*report.plant.remarks, *remarks)]
     return [*first, *fitted(joined(rows), LINES - len(first))]
 
@@ -52,7 +52,7 @@ def plant_rows(report: Applicability, name: str) -> Iterator[Row]:
     yield from (("warning", text) for text in plant_warnings(plant))
     for i, A in enumerate(plant.A):
         alike.setdefault(A.tobytes(), i)
-    yield from (("cell", f"{plant.cell_names[i]}: {mode_text(modes(plant.A[i]))}") for i in alike.values())
+    yield from (("open loop", f"{plant.cell_names[i]}: {mode_text(modes(plant.A[i]))}") for i in alike.values())
 
 
 def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> str:
@@ -62,8 +62,8 @@ def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> st
     answers = dict(report.answers)
     first = report.open[0]
     needs = answers[first]
-    said = f"A controller can be designed: {_EXACT.get(first.name, first.name)}, as far as is known before design "
-    said += f"solves {needs.reason}"
+    said = f"A controller can be designed: {_EXACT.get(first.name, first.name)}, as far as is known until design "
+    said += f"solves the paper's {needs.reason}"
     if first.name in _EXACT:
         return said
     exact = why_not or next(answers[route].reason for route in answers if report.tracking in route.takes)
@@ -71,20 +71,20 @@ def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> st
 
 
 def mode_text(found: Sequence[Mode]) -> str:
-    """Return modes with frequency, damping and time constant, the slowest first.
+    """Return modes with frequency, damping and time constant τ, the slowest first.
 
     Example:
         >>> import numpy as np
         >>> mode_text(modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))), mode_text(modes(np.array([[0.0]])))
-        ('2 rad/s damped 0.1 (5 s)', 'integrates')
+        ('2 rad/s damped 0.1 (τ 5 s)', 'integrates')
     """
     return ", ".join(
         "integrates"
         if not mode.frequency
-        else f"runs away in {-mode.time_constant:.3g} s"
+        else f"runs away (τ {-mode.time_constant:.3g} s)"
         if mode.time_constant < 0
-        else f"{mode.time_constant:.3g} s"
+        else f"τ {mode.time_constant:.3g} s"
         if mode.damping == 1
-        else f"{mode.frequency:.3g} rad/s damped {mode.damping:.2g} ({mode.time_constant:.3g} s)"
+        else f"{mode.frequency:.3g} rad/s damped {mode.damping:.2g} (τ {mode.time_constant:.3g} s)"
         for mode in found
     )

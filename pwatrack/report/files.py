@@ -421,9 +421,11 @@ def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], 
     if not picture:
         return {}
     from pwatrack.report.plots.canvas import png
+    from pwatrack.report.plots.region import starts_in_plane
     from pwatrack.report.plots.spread import fan
 
-    return {"ensemble.png": png(fan(many, checked))}
+    plane = {"starts.png": png(starts_in_plane(many))} if many.variation.over == "plane" else {}
+    return {"ensemble.png": png(fan(many, checked))} | plane
 
 
 def _index(spec: Spec, effort: Effort) -> dict[str, Any]:

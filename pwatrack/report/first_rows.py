@@ -53,7 +53,7 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
     if result is not None:
         how, outcome, unit = ", ".join(_conditions(result)), result.outcome, error_unit(result.spec, result.controller)
         said = f"error {result.figures.final_error:.3g} {unit}".rstrip()
-        said += f" in the last tenth ({result.figures.largest_error:.3g} at worst)"
+        said += f" in the last tenth, {result.figures.largest_error:.3g} at worst"
         yield "simulated", f"{how}: {outcome.kind}, {said}" if outcome.kind in _MEASURED else f"{outcome.text} ({how})"
     if many is not None:
         figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
@@ -76,7 +76,7 @@ def _conditions(result: SimulatedLoop) -> Iterator[str]:
         "limits": "limits",
         "disturbance": "disturbance",
         "noise": "noise",
-        "quanta": "steps",
+        "quanta": "quantisation",
         "rates": "rate limits",
     }
     yield from (said for name, said in parts.items() if getattr(conditions, name) is not None)
@@ -85,15 +85,15 @@ def _conditions(result: SimulatedLoop) -> Iterator[str]:
 def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
     """Yield what is proved with what the file declares, and margins of each cell beside those of the proofs."""
     words, margins = spec.words, worst(assessment.margins)
-    if assessment.acting:
+    if assessment.acting or assessment.ends:
         tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
         bounds = ", ".join(words.limits(tracked)) or "no bound is proved"
         yield "in the end", f"{bounds} {assessment.condition}"
     _, of_K, _ = controller.guarantees.robust
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in margins.gain)
-        cells = f"gain {low} to {high}, phase {degrees(margins.phase):.0f}°, delay {margins.delay:.2g} s"
-        yield "margins", f"each cell: {cells}; all: K ± {100 * of_K:.2g} %"
+        cells = f"gain × {low} to {high}, phase {degrees(margins.phase):.0f}°, delay {margins.delay:.2g} s"
+        yield "margins", f"any switching: K ± {100 * of_K:.2g} %; each cell alone: {cells}"
 
 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:

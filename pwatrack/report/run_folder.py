@@ -40,7 +40,7 @@ _NAMES = re.compile(  # the files that a run can have: nothing else is ever remo
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
     rf"{re.escape(WRITTEN)}|{re.escape(SPEC)}|{re.escape(SUMMARY)}|{re.escape(PAGE)}|"
     r"(tracking_error|observer_error|outputs|input|cells|states|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
-    r"nonlinearities\.png|"
+    r"nonlinearities\.png|starts\.png|"
     r"portrait_[1-9]\d*\.png|table_[1-9]\d*\.csv"
 )
 _PROOFS = ("certificate.json", REFUSAL)  # last to come and first to go, but for the index

@@ -28,12 +28,12 @@ _ORDER = {  # what comes first; the number says what gives way to what: the larg
     "input": 4,
     "margins": 7,
     "K, L": 3,
-    "cell": 4,
+    "open loop": 4,
     "reference": 2,
     "sizes": 5,
     "files": 0,
 }
-_EACH = ("missed", "warning", "remark", "cell")  # a row for each; of other labels all is one sentence
+_EACH = ("missed", "warning", "remark", "open loop")  # a row for each; of other labels all is one sentence
 _WHOLE = ("missed", "simulated", "warning")  # the first two of these have two lines before lesser rows begin
 _WEIGHTY = 3  # what weighs so much has a line before anything has two: also what is NOT proved
 _FIRST = 3  # of a label: more give way to the rest

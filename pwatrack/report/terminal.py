@@ -119,6 +119,9 @@ def told(error: Exception) -> tuple[int, list[str]]:
         return error.code, [*refusal_lines(error), *getattr(error, "__notes__", ())]
     where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
     place = f"{Path(where.filename).name}:{where.lineno}"
+    if isinstance(error, MemoryError):
+        said = f"error: out of memory: {error or 'nothing more is to be had'} ({place}) [P100]"
+        return ExitCode.BUG, [said, "  hint: fewer states, cells or samples, or more memory"]
     said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place}) [P100]"
     return ExitCode.BUG, [said, "  hint: please report it together with the spec"]
 

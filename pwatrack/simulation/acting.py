@@ -74,11 +74,11 @@ def acting(
     if not all(np.isfinite(X).all() for X in (*found.squares.values(), *found.beside.values())):
         return None
     squares, beside, count = dict(found.squares), dict(found.beside), len(found.near)
+    paced = float(errors.paces[-1])  # d acts for as long as passes
+    squares |= {("deviation", k): np.full(count, (paced * most) ** 2) for k, (_, most) in enumerate(errors.deviations)}
     for channel, each in _outside(controller, conditions, errors, duration, count).items():
-        late = np.sqrt(squares.get(channel, np.zeros(count)))  # d acts for as long as passes
-        squares[channel] = (
-            late + np.sqrt(each) * (float(errors.paces[-1]) if channel[0] == "disturbance" else 1.0)
-        ) ** 2
+        late = np.sqrt(squares.get(channel, np.zeros(count)))
+        squares[channel] = (late + np.sqrt(each) * (paced if channel[0] == "disturbance" else 1.0)) ** 2
     if conditions.quanta is not None:
         for k, steps in enumerate((conditions.quanta.inputs / 2).tolist()):
             squares["input", k] = np.full(count, steps**2)

@@ -224,7 +224,7 @@ class Enclosing:
         self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
         self._best = self._high = self._size = np.zeros(0)  # attained, bounds, sizes of each side: highs, then −lows
-        self._seen = list[tuple[Array, Array]]()  # values near the best, −inf elsewhere, (P, sides), and when, (P,)
+        self._seen = list[tuple[IntArray, Array, Array]]()  # the side of values that are near its best, they, and when
         self._step = 0.0  # the longest segment in s
 
     def see(self, block: Segments) -> None:
@@ -244,22 +244,25 @@ class Enclosing:
                 self._tables[mode] = _Tables(turns, block.reading(self._rows(mode)))
             table, pieces = self._tables[mode], _Pieces(block.t[here], block.zeta[here], block.length[here])
             self._attain(self._sides(pieces.zeta @ table.rows), pieces.t)
-            queue.append((table, pieces))
-        while queue:
-            halves = ((table, self._narrowed(table, part)) for table, pieces in queue for part in _parts(table, pieces))
-            queue = [(table, pieces) for table, pieces in halves if pieces is not None]
-        values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
-        near = (values >= self._least).any(axis=1)
-        self._seen = [(values[near], t[near])]
+            queue += [(table, part) for part in _parts(table, pieces)]
+        while queue:  # in turn, but where they are many the last ones first, so that they do not become more
+            many = sum(part.zeta.size for _, part in queue) > TOGETHER
+            table, pieces = queue.pop(-1 if many else 0)
+            halves = self._narrowed(table, pieces)
+            if halves is not None:
+                queue += [(table, part) for part in _parts(table, halves)]
+        side, values, t = self._near_best()
+        near = values >= self._least[side]
+        self._seen = [(side[near], values[near], t[near])]
 
     def range(self) -> Range:
         """Return the bounds on all that was seen."""
         highs, times = np.maximum(self._high, self._best), np.zeros(len(self._best))
+        side, seen, when = self._near_best()
         for k in range(len(times)):
-            values = np.concatenate([v[:, k] for v, _ in self._seen])
-            t = np.concatenate([at for _, at in self._seen])
-            order = np.argsort(t[values >= self._least[k]], kind="stable")
-            t, values = t[values >= self._least[k]][order], values[values >= self._least[k]][order]
+            near = (side == k) & (seen >= self._least[k])
+            order = np.argsort(when[near], kind="stable")
+            t, values = when[near][order], seen[near][order]
             first = int(np.append(np.flatnonzero(np.diff(t) > 2 * self._step), len(t) - 1)[0]) + 1
             top = values[:first].max()
             times[k] = t[np.argmax(values[:first] >= top - 1e-12 * abs(top))]
@@ -270,6 +273,10 @@ class Enclosing:
         inner, times = (np.column_stack([part[q:], part[:q]]) for part in (inner, times))
         inner[:, 0] *= -1
         return Range(low=-highs[q:], high=highs[:q], inner=inner, times=times)
+
+    def _near_best(self) -> tuple[IntArray, Array, Array]:
+        side, values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
+        return side, values, t
 
     @property
     def _least(self) -> Array:
@@ -289,7 +296,7 @@ class Enclosing:
         return np.concatenate([off, off], axis=-1)
 
     def _attain(self, values: Array, t: Array) -> None:
-        """Take note of values (P, sides) that are attained, or as good as that."""
+        """Take note of values (P, sides) that are attained at times (P,) or (P, sides), or as good as that."""
         top = values.max(axis=0)
         if not len(self._best):
             self._best = self._high = np.full(values.shape[1], -np.inf)
@@ -298,8 +305,8 @@ class Enclosing:
         self._best = np.maximum(self._best, top)
         size = np.abs(self._best)
         self._size = size if self._norm else np.tile(size.reshape(2, -1).max(axis=0), 2)
-        near = (values >= self._least).any(axis=1)
-        self._seen.append((values[near], t[near]))
+        row, side = np.nonzero(values >= self._least)
+        self._seen.append((side, values[row, side], t[row] if t.ndim == 1 else t[row, side]))
 
     def _narrowed(self, table: _Tables, pieces: _Pieces) -> _Pieces | None:
         """Bound the signals on some pieces, and return the halves of those that may be above the best, if any."""
@@ -346,10 +353,9 @@ class Enclosing:
                 values = values * tau + coefficient
             sides = self._sides(values) - self._spread(off)
             sides[np.isnan(sides)] = -np.inf
-            for k in np.flatnonzero(sides.max(axis=0) >= self._least).tolist():
-                only = np.full_like(sides, -np.inf)
-                only[:, k] = sides[:, k]
-                self._attain(only, t + tau[:, k % off.shape[1]] * length)
+            if (sides.max(axis=0) >= self._least).any():
+                at = tau[:, :1] if self._norm else np.hstack([tau, tau])
+                self._attain(sides, t[:, None] + at * length[:, None])
 
 
 def _parts(table: _Tables, pieces: _Pieces) -> Iterator[_Pieces]:

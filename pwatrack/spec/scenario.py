@@ -287,6 +287,12 @@ def _initial_states(section: InitialSection, states: Sequence[str]) -> InitialSt
     )
 
 
+def _plane(names: Sequence[str] | None, states: Sequence[str]) -> tuple[int, int]:
+    """Return two states by number; the first and the second where nothing is said, one twice where there is one."""
+    first, second = (states.index(name) for name in names or (states[0], states[min(1, len(states) - 1)]))
+    return first, second
+
+
 def _regions(section: StartRegionsSection | None, states: Sequence[str], nominal: InitialStates) -> dict[str, Region]:
     """Return where the members of an ensemble start, by part; entries that are not named stay at the nominal start."""
     found: dict[str, Region] = {}
@@ -397,6 +403,7 @@ def build_scenario(section: SimulationSection, states: Sequence[str], conditions
         initial=initial,
         conditions=conditions,
         regions=_regions(section.ensemble.initial, states, initial),
+        plane=_plane(section.ensemble.plane, states),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
         portraits=tuple((first, second) for first, second in section.portraits),
         bands=section.settled,

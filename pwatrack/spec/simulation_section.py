@@ -140,6 +140,15 @@ class EnsembleSection(Section):
 
     initial: StartRegionsSection | None = None
     parameters: Annotated[dict[Name, Interval], named("parameter", "parameters")] = {}
+    plane: list[Name] | None = None
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where a plane is not one of two states."""
+        if self.plane is not None:
+            known = not context.states or set(self.plane) <= set(context.states)
+            if len(set(self.plane)) != 2 or len(self.plane) != 2 or not known:
+                text = f": two different states are expected, of {', '.join(context.states)}"
+                yield Fault(text, ("plane",), "such as [z, v]")
 
 
 class SimulationSection(Section):

@@ -86,6 +86,7 @@ class Scenario:
     initial: InitialStates
     conditions: Conditions  # what is not as the theorems assume
     regions: Mapping[str, Region]  # where the members of an ensemble start, by part; empty where the file says nothing
+    plane: tuple[int, int]  # two states in which members differ, where they are to start in a plane
     intervals: Mapping[str, tuple[float, float]]  # lowest and highest values of the plant's parameters; likewise
     portraits: tuple[tuple[LinearForm, LinearForm], ...]  # forms of the states to draw
     bands: Mapping[str, float]  # how far from its rest an output counts as settled, in its unit

@@ -1,14 +1,14 @@
 """How a simulated loop ended: whether it tracks, is off, grows without bound, or contradicts its own proof."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import matrix_balance
 
-from pwatrack.arrays import EPS, Array
+from pwatrack.arrays import EPS, OVER_SUMS, Array
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
@@ -203,11 +203,16 @@ class RunMonitor:
 
     def _practical(self, figures: Figures) -> Outcome | None:
         """Say that the error is below what it is proved to end below, where cells are merged and it is."""
-        practical = next(iter(self._loop.controller.claims_of(Practical)), None)
-        if practical is None or self._loop.beyond_the_proofs:
+        controller, beyond = self._loop.controller, self._loop.beyond_the_proofs
+        practical = next(iter(controller.claims_of(Practical)), None)
+        if practical is None:
             return None
-        bound = practical.leaves_norm(self._tracked, self._loop.controller.error_sizes.tolist())
-        if figures.final_error > bound:
+        bound = practical.leaves_norm(self._tracked, controller.error_sizes.tolist())
+        for ends in (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds)):
+            acts = replace(self._loop.conditions, sampling=None, noise=None, disturbance=None, quanta=None)
+            each = [ends.get((self._tracked, k), np.inf) / size for k, size in enumerate(controller.error_sizes)]
+            bound, beyond = float(np.linalg.norm(each)) * OVER_SUMS, acts.texts(controller.plant)
+        if beyond or figures.final_error > bound:
             return None
         final, worst = self._norms(figures)
         text = f"within its bound{', which is larger than the reference' if practical.beyond else ''}: "

@@ -1,6 +1,6 @@
 """A closed loop varied: many members of one design, and what became of them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -9,6 +9,9 @@ from typing import Literal, cast
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray, amount
+from pwatrack.claims.limits import NoSaturation
+from pwatrack.claims.region import LimitedRegion
+from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError, Subject
 from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
@@ -23,11 +26,12 @@ from pwatrack.workflow.outcome import Outcome, RunMonitor
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.tracking import start_fixed, start_given_twice
 
-Over = Literal["initial", "parameters", "noise"]
+Over = Literal["initial", "parameters", "noise", "plane"]
 
 _MOST_KEPT = 250_000_000  # tracking errors: 2 GB
 _PARTS = 4  # of an ensemble for each worker: they need not take the same time
 _SPREAD = 0.05  # of the value of a parameter
+_BEYOND = 1.2  # of what is proved of starts: how far those in a plane go
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +49,7 @@ class Variation:
     def text(self) -> str:
         """What differs, in words that go after "members"."""
         words = {"initial": "from other initial states", "parameters": "with other parameters"}
+        words |= {"plane": "from starts in a plane, x̂ = x"}
         return words.get(self.over, "with other noise")
 
 
@@ -61,7 +66,12 @@ class EnsembleResult:
 
     @property
     def failed(self) -> tuple[int, ...]:
-        """The indices of the members whose error grows without bound or is above its own proved bound."""
+        """The indices of the members whose error grows without bound or is above its own proved bound.
+
+        Of starts in a plane none: they are to show where that is so.
+        """
+        if self.variation.over == "plane":
+            return ()
         return tuple(number for number, outcome in enumerate(self.outcomes) if outcome.code != ExitCode.DONE)
 
     @property
@@ -247,7 +257,47 @@ def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
     return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
 
 
-_VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise}
+def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation:
+    """Return the loop from x_d(0) and errors of two states, x̂ = x: around what is proved of such starts with limits.
+
+    Where nothing is, each of the two is within the largest size that it has in `result`.
+    """
+    loop, plane = result.loop, list(result.spec.scenario.plane)
+    if plane[0] == plane[1]:
+        raise InvalidSpec("the plant has one state: there is no plane", subject=None, hint="'--over initial'")
+    ellipses = [C for _, C in sections(result.controller, plane)]
+    sizes = [np.linalg.norm(C, axis=1) for C in ellipses] or [np.abs(result.response.x[:, plane]).max(axis=0)]
+    most = _BEYOND * np.max(sizes, axis=0)
+    random = np.random.default_rng([seed, 5])
+    errors, starts = random.uniform(-most, most, size=(count, 2)), np.tile(result.start, (count, 1))
+    x = np.tile(result.response.x_d[0], (count, 1))
+    x[:, plane] += errors
+    starts[:, loop.at.x] = starts[:, loop.at.x_hat] = x
+    names, member = tuple(loop.plant.states[k] for k in plane), _member(result, loop)
+    return Variation(
+        over="plane",
+        given=True,
+        regions={},
+        names={},
+        values=dict(zip(names, x[:, plane].T, strict=True)),
+        member=lambda number: replace(member, z0=starts[number]),
+    )
+
+
+def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tuple[str, Array]]:
+    """Yield what is proved of starts with limits, and the largest ellipse of it in a plane: see `section`."""
+    kinds = [
+        ("goes to 0, limits reached or not", one.room.spare, one.found) for one in controller.claims_of(LimitedRegion)
+    ]
+    kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
+    for said, left, guarantees in kinds:
+        found = (one.section(left, plane) for one in guarantees) if left is not None else ()
+        roots = [C for C in found if C is not None]
+        if roots:
+            yield said, max(roots, key=lambda C: float(np.linalg.det(C)))
+
+
+_VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise, "plane": starts_in_a_plane}
 _OVER: Subject = ("simulation", "ensemble", "parameters")
 _NUMBERS = attrgetter("A", "b", "B", "C", "tracked", "partition.H", "partition.h")  # of a plant
 

@@ -23,8 +23,8 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
     """Return what is wrong with the proof of the sampled loop, and what it claims."""
     if content is None:
         return [], []
-    if whole["practical"] is not None:
-        raise AuditFault("the sampled loop is proved of a plant without merged cells only")
+    if whole["practical"] is not None and whole["practical"]["observer_runs"] != "merged cells":
+        raise AuditFault("the sampled loop is proved where the program runs the cells of the design only")
     h, rate = number(content["sample_time"]), number(content["rate"])
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")

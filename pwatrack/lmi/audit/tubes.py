@@ -24,7 +24,8 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
-    tubes = Tubes(whole["sampled"], loop)
+    merged = [] if whole["practical"] is None else whole["practical"]["merged"]
+    tubes = Tubes(whole["sampled"], loop, merged)
     faults = [f"the sampled loop, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
     channels = {tuple(entry["channel"]) for entry in found}
     return faults, [f"the sampled loop: what {len(channels)} disturbances, noises and inputs leave is proved"]
@@ -36,7 +37,8 @@ class Tubes:
     Of what is summed g g^T < Q_e in place of the term with g.
     """
 
-    def __init__(self, sampled: Any, loop: Loop) -> None:
+    def __init__(self, sampled: Any, loop: Loop, merged: Any) -> None:
+        self.merged = [[number(v) for v in one["direction"]] for one in merged]
         self.errors = errors = AuditedErrors(sampled, loop)
         self.parts, self.period = sampled["substeps"] if errors.changes else 1, number(sampled["sample_time"])
         self.sizes = errors.n, errors.m, errors.N, len(errors.R[0])
@@ -91,7 +93,14 @@ class Tubes:
     def drive(self, channel: Any) -> tuple[Ball, Ball, Ball]:
         """Return what 1 of a channel is beside z, adds to z', and to z at a tick."""
         (kind, k), (n, m, _, q) = channel, self.sizes
-        counts = {"disturbance": n, "noise": len(self.errors.plant.C[0]), "input": m, "moved": q, "nominal": q}
+        counts = {
+            "disturbance": n,
+            "deviation": len(self.merged),
+            "noise": len(self.errors.plant.C[0]),
+            "input": m,
+            "moved": q,
+            "nominal": q,
+        }
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
@@ -106,12 +115,14 @@ class Tubes:
             e[at] = Fraction(1)
             nominal = [mean, column([nu, *d * [Delta]]), *d * [self.errors.R @ mean]]
             return column([e, nu, *d * [Delta], *d * [rho]]), -reduce(stacked, nominal), nothing
-        if kind == "disturbance":
+        if kind == "deviation":
+            e, Delta = self.merged[k], [*(-v for v in self.merged[k]), *Delta[n:]]
+        elif kind == "disturbance":
             e[k], Delta[k] = Fraction(1), Fraction(-1)
         else:
             (nu if kind == "input" else rho)[k] = Fraction(1)
         one = column([e, nu, *d * [Delta], *d * [rho]])
-        return (nothing, one, nothing) if kind == "disturbance" else (one, nothing, nothing)
+        return (one, nothing, nothing) if kind in ("input", "moved") else (nothing, one, nothing)
 
     def row(self, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off z."""

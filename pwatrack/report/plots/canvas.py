@@ -1,5 +1,6 @@
 """What all pictures have in common: styles, sizes, titles, labels, and where panels are: as large as labels allow."""
 
+import re
 import textwrap
 import warnings
 from collections.abc import Sequence
@@ -28,12 +29,13 @@ LIMIT: dict[str, Any] = {"color": "0.3", "linewidth": 1.0, "linestyle": (0, (5, 
 REQUIRED: dict[str, Any] = {"color": "#a3195b", "linewidth": 1.1, "linestyle": (0, (2, 1))}
 WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
-ROUNDING = 1e-11  # of the largest state: an error below it is rounding of the simulation, which no proof bounds
+ROUNDING = 1e-11  # of a signal: an error of it below that is rounding of the simulation, which no proof bounds
 _PAD = 1 / 24  # inches between what panels need, and around it
 _FIRST = (0.6, 0.05, 0.2, 0.3)  # inches that a panel may need to the left, right, above and below
 _AROUND, _BELOW = 1.2, 0.4  # inches: of a picture above its panels, and of a panel below what is drawn, about
 _SIZE, _SMALL = 9, 7  # points of what is written along an axis; the other where there is little room
 _LETTER, _FEWEST = 0.0075, 8  # inches of a letter for each point; letters of a line at least
+_LONG = re.compile(r"\d+\.\d{4,}")  # numbers with more digits than there is room for beside an axis
 _ROUNDS = 3  # of measuring: ticks change with the size of a panel, but seldom more than once
 
 
@@ -72,7 +74,8 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     axes.set_xlabel(x, fontsize=9)
     room = _height(axes)
     size = _SIZE if len(y) < room / (_LETTER * _SIZE) else _SMALL
-    kept = y.replace("+ ", "+\u00a0").replace("- ", "-\u00a0")  # a sign stays with what follows
+    short = _LONG.sub(lambda number: f"{float(number[0]):.3g}", y)
+    kept = short.replace("+ ", "+\u00a0").replace("- ", "-\u00a0")  # a sign stays with what follows
     lines = textwrap.wrap(kept, max(_FEWEST, int(room / (_LETTER * size))), max_lines=4, placeholder=" …")
     axes.set_ylabel(plain("\n".join(lines).replace("\u00a0", " ")), fontsize=size)
     axes.set_xlim(shown[0], shown[-1])

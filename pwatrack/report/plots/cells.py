@@ -16,6 +16,8 @@ from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label
 from pwatrack.report.stays import stays
 from pwatrack.workflow.result import SimulatedLoop
 
+_HAIR = 0.5  # points: a stay that is shorter than a dot is seen all the same
+
 
 def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Figure:
     """Draw two linear forms of the plant's state against each other, with the facets and cells that can be seen there.
@@ -81,13 +83,14 @@ def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], b
 def active_cells(result: SimulatedLoop) -> Figure:
     """Draw which cell plant, observer and generator are in, and at which limit an input is, over time; and how much."""
     parts = list(stays(result, COLUMNS))
-    title = f"Active cells, with the share of the time in each: {result.figures.mode_changes} changes"
+    count = result.figures.mode_changes
+    title = f"Active cells, with the share of the time in each: {count} change{'s' * (count != 1)}"
     heights = [max(0.9, 0.3 + 0.22 * len(rows)) for _, rows in parts]
     mosaic = [[k] for k in range(len(parts))]
     figure, panels = canvas(result, title, mosaic, height=1.4 + sum(heights), ratios=heights)
     for axes, (part, rows) in zip(panels, parts, strict=True):
         for row, stay in enumerate(rows):
-            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=0)
+            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=_HAIR, snap=False)
         names = [f"{plain(stay.name)}  {percent(stay.share)}" for stay in rows]
         axes.set_yticks(range(len(rows)), names, fontsize=8)
         axes.set_ylim(len(rows) - 0.4, -0.6)

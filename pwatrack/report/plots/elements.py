@@ -86,7 +86,8 @@ def _draw(
         axes.legend(fontsize=7, frameon=False)
     else:
         axes.plot(points, [element.function(s) for s in points], **ACTUAL)
-    text = f"s = {_form(of, plant)}{f' ({unit})' if unit else ''}"
+    form = _form(of, plant)
+    text = f"{'' if form == 's' else 's = '}{form}{f' ({unit})' if unit else ''}"
     label(axes, plain(text), "φ(s, ṡ)" if touches else "φ(s)", points)
 
 
@@ -100,13 +101,14 @@ def _rates(element: Contact, room: float, x: Array | None) -> tuple[float, float
 
 def _texts(element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str, str], letters: int) -> str:
     """Return what is said above a panel: the name, what φ adds to which rate, and its slope in each cell."""
+    least = 1e-12 * max(abs(float(d)) for d in element.direction)
     added = [
         f"{number_text(float(d), '.4g')} φ to d{name}/dt{f' ({unit})' if unit else ''}"
         for name, d in zip(plant.states, element.direction, strict=True)
         for unit in [per_second(units.get(name, ""))]
-        if float(d)
+        if abs(float(d)) > least
     ]
-    lines = [f"{element.name} adds {', '.join(added)}"]
+    lines = [f"{element.name}: {', '.join(added)}"]
     if isinstance(element, Contact):
         stiffness, damping = (number_text(float(v), ".6g") for v in (element.stiffness, element.damping))
         lines.append(f"φ pushes and never pulls: stiffness {stiffness}, damping {damping}")

@@ -36,7 +36,8 @@ def tracking_error(result: SimulatedLoop) -> Figure:
         _error_lines(panels[0], result, (-1, 1))
         legend(panels[0], columns=4)
     norm = "‖e‖" if len(names) > 1 else "size"
-    _magnitude(panels[-1], result, response.error_norm, bound, f"{norm}{f' ({unit})' if unit else ''}")
+    floor = ROUNDING * float(np.abs(desired / response.error_sizes).max())
+    _magnitude(panels[-1], response.t, response.error_norm, bound, floor, f"{norm}{f' ({unit})' if unit else ''}")
     _error_lines(panels[-1], result, (1,))
     legend(panels[-1], columns=4)
     return figure
@@ -50,7 +51,8 @@ def observer_error(result: SimulatedLoop) -> Figure:
     off, x = response.x_hat - response.x, response.x
     figure, panels = _panels(result, title, "estimate", states, off, x, response.state_sizes)
     bound = result.bands.get(("estimate", 0)) if len(states) == 1 else result.observer_bound
-    _magnitude(panels[-1], result, error, bound, f"‖x̂ − x‖{f' ({unit})' if unit else ''}")
+    floor = ROUNDING * float(np.abs(x / (response.state_sizes if len(states) > 1 else 1.0)).max())
+    _magnitude(panels[-1], response.t, error, bound, floor, f"‖x̂ − x‖{f' ({unit})' if unit else ''}")
     mark = REQUIRED | {"linestyle": "none", "marker": "_", "markersize": 14}
     for limit in limits(result, "final_observer_error"):
         panels[-1].plot(response.t[-1:], [limit], label="required at the end", **mark)
@@ -93,11 +95,12 @@ def _panels(
     return figure, panels
 
 
-def _magnitude(axes: Axes, result: SimulatedLoop, size: Array, bound: Array | None, name: str) -> None:
-    """Draw the size of an error on a logarithmic scale, under its proved bound."""
-    t, floor = result.response.t, ROUNDING * np.abs(result.response.x).max()
+def _magnitude(axes: Axes, t: Array, size: Array, bound: Array | None, floor: float, name: str) -> None:
+    """Draw the size of an error on a logarithmic scale, under its proved bound, and where it is rounding alone."""
     if bound is not None and (above := bound > floor).any():
         axes.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **BOUND)
+    if not (size > 0).any():
+        axes.text(0.5, 0.5, "0 at all times, in the simulation", transform=axes.transAxes, ha="center", fontsize=9)
     axes.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **ACTUAL)
     low, high = axes.get_ylim()
     if low < floor:

@@ -66,7 +66,9 @@ def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
     figure, (linear, logarithmic, *below) = canvas(result, title, mosaic, height=1.0 + sum(ratios), ratios=ratios)
     for axes, each in zip(below, strips, strict=True):
         _strip(axes, each)
-    floor = ROUNDING * np.abs(result.response.x).max()
+    response = result.response
+    desired = response.tracked_d if result.controller.tracking == "output" else response.x_d
+    floor = ROUNDING * float(np.abs(desired / response.error_sizes).max())
     names = result.controller.plant.tracked_names if result.controller.generator else ("x",)
     size = f"|{names[0]} − {names[0]}_d|" if result.controller.generator and len(names) == 1 else "‖e‖"
     slowest = int(np.lexsort((kept.final, kept.small_from))[-1])

@@ -1,0 +1,135 @@
+"""Members that start in a plane of two states, beside the ellipses that are proved there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pwatrack import Result, ensemble, load_spec, simulate
+from pwatrack.claims.region import LimitedRegion
+from pwatrack.errors import ExitCode, InvalidSpec
+from pwatrack.report.plots.region import starts_in_plane
+from pwatrack.workflow.variation import EnsembleResult, sections
+from tests.test_cli import call, index_of, refused
+from tests.test_drawing import points
+
+BAR = """
+name: Balanced bar on a buffer
+system:
+  states: [z, v, f]
+  inputs: [F]
+  outputs: [y]
+  units: {z: m, v: m/s, f: N, F: N, y: m}
+  A: [[0, 1, 0], [1, 0, 1], [0, 0, -20]]
+  nonlinearities:
+    - {name: buffer, kind: spring, of: z, start: 0.4, slope: 0.5, into: {v: -1}}
+  B: [[0], [0], [20]]
+  C: [[1, 0, 0]]
+reference: {output: {constant: 0.05}}
+simulation:
+  duration: 15
+  sample_time: 0.05
+  initial: {plant: [0.2, 0, 0], observer: measured}
+  actuator: {limits: {F: [-1, 1]}}
+"""
+
+
+@pytest.fixture(scope="module")
+def bar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bar") / "bar.yaml"
+    path.write_text(BAR, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(bar: Path) -> Result:
+    return simulate(load_spec(bar))
+
+
+@pytest.fixture(scope="module")
+def many(result: Result) -> EnsembleResult:
+    return ensemble(result, 300, over="plane")
+
+
+def test_members_differ_in_two_states_from_the_reference_with_the_observer_on_them(many: EnsembleResult) -> None:
+    loop, x_d = many.nominal.loop, many.nominal.response.x_d[0]
+    for number in (0, 7):
+        z0 = many.variation.member(number).z0
+        x = z0[loop.at.x]
+        assert (z0[loop.at.x_hat] == x).all()
+        assert x[2] == x_d[2]
+        assert x[:2].tolist() == [many.variation.values[name][number] for name in ("z", "v")]
+
+
+def test_from_inside_what_is_proved_every_member_gets_small_and_not_from_everywhere(many: EnsembleResult) -> None:
+    off = np.column_stack([many.variation.values[name] for name in ("z", "v")]) - many.nominal.response.x_d[0, :2]
+    small = np.array([one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes])
+    found = dict(sections(many.nominal.controller, [0, 1]))
+    assert list(found) == ["goes to 0, limits reached or not", "no limit is reached"]
+    inside = np.linalg.norm(np.linalg.solve(found["goes to 0, limits reached or not"], off.T), axis=0) <= 1
+    assert inside.sum() > 20
+    assert small[inside].all()
+    assert not small.all()
+    never = np.linalg.norm(np.linalg.solve(found["no limit is reached"], off.T), axis=0) <= 1
+    most = np.array([figures.largest_input["F"] for figures in many.figures])
+    assert never.any()
+    assert most[never].max() <= 1
+    assert not many.failed, "that some do not is what is to be seen"
+
+
+@given(angle=st.floats(0, 2 * np.pi))
+@settings(max_examples=20)
+def test_a_section_is_where_the_ellipsoid_meets_the_plane(angle: float, result: Result) -> None:
+    """On its edge the form of the ellipsoid, scaled for the limits, is 1."""
+    claim = result.controller.claim(LimitedRegion)
+    left = claim.room.spare
+    assert left is not None
+    for one in claim.found:
+        C = one.section(left, [1, 0])
+        if C is None or one.held is None:
+            continue
+        v, z = C @ [np.cos(angle), np.sin(angle)]
+        start = np.zeros(len(one.held.exponents))
+        start[:2] = z, v
+        Q = np.array([[float(v.p) / float(v.q) for v in row] for row in one.held.P.tolist()])
+        assert start @ np.linalg.solve(Q, start) == pytest.approx(one.scale(left) ** 2, rel=1e-6)
+
+
+def test_the_picture_shows_each_member_and_what_is_proved(many: EnsembleResult) -> None:
+    (axes,) = starts_in_plane(many).axes
+    small, others = (np.asarray(each.get_offsets()) for each in axes.collections)
+    assert len(small) + len(others) == 300
+    assert [line.get_label() for line in axes.lines] == [
+        f"proved: {said}" for said, _ in sections(many.nominal.controller, [0, 1])
+    ]
+    for line, (_, C) in zip(axes.lines, sections(many.nominal.controller, [0, 1]), strict=True):
+        assert np.linalg.norm(np.linalg.solve(C, points(line).T), axis=0) == pytest.approx(1)
+    assert axes.get_xlabel() == "z − z_d (m)"
+
+
+def test_a_run_writes_it_and_does_not_fail_by_it(bar: Path, tmp_path: Path) -> None:
+    run = call("simulate", bar, "--ensemble", 20, "--over", "plane", "--out", tmp_path / "out", pictures=True)
+    assert run.exit_code == 0, run.output
+    assert "20 members from starts in a plane, x̂ = x: " in run.stdout
+    assert "starts.png" in index_of(tmp_path / "out")["files"]
+
+
+@pytest.mark.parametrize("plane", ["[z]", "[z, z]", "[z, w]", "[z, v, f]"])
+def test_a_plane_is_one_of_two_states(plane: str, tmp_path: Path) -> None:
+    path = tmp_path / "bar.yaml"
+    path.write_text(BAR + f"  ensemble: {{plane: {plane}}}\n", encoding="utf-8")
+    said = refused(call("check", path), 2)
+    assert "simulation.ensemble.plane: two different states are expected, of z, v, f" in said
+
+
+def test_another_plane_is_taken_and_one_state_makes_none(tmp_path: Path) -> None:
+    (tmp_path / "bar.yaml").write_text(BAR + "  ensemble: {plane: [v, f]}\n", encoding="utf-8")
+    run = simulate(load_spec(tmp_path / "bar.yaml"))
+    values = ensemble(run, 5, over="plane").variation.values
+    assert list(values) == ["v", "f"]
+    text = "system: {states: [z], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}\nreference: {output: 0.1}\n"
+    (tmp_path / "one.yaml").write_text(f"name: one\n{text}simulation: {{duration: 1, sample_time: 0.1}}\n")
+    with pytest.raises(InvalidSpec, match="the plant has one state: there is no plane"):
+        ensemble(simulate(load_spec(tmp_path / "one.yaml")), 2, over="plane")
