@@ -147,7 +147,7 @@ _SIZES = st.floats(-3, 3).map(lambda x: 10.0**x)
 
 
 @given(_SIZES, _SIZES, _SIZES, st.floats(-4, 3), st.floats(-2, 3), st.sampled_from([-1.0, 1.0]))
-def test_from_rest_to_rest_takes_the_shortest_time_there_is_and_one_sample(
+def test_from_rest_to_rest_takes_the_shortest_time_there_is(
     V: float, A: float, J: float, size: float, fine: float, sign: float
 ) -> None:
     """And nothing is beyond the set-point, nor goes back; there, all derivatives are exactly 0."""
@@ -158,7 +158,7 @@ def test_from_rest_to_rest_takes_the_shortest_time_there_is_and_one_sample(
     y = sign * (made.course[:, 3] - made.course[:, 0])
     arrived = int(np.argmax((made.course[:, :3] == 0).all(axis=1))) + 1
     assert best - h * 1e-6 <= arrived * h * (1 + 1e-9)
-    assert arrived * h <= best + 2 * h
+    assert arrived * h < best + 2 * h
     assert (made.course[arrived:, :3] == 0).all()
     assert (np.diff(y) >= -1e-12 * D).all()
     assert y.max() <= D * (1 + 1e-14) + 2.0**-26 * J * h**3  # rounding, and where it counts as there
