@@ -162,7 +162,7 @@ class ControllerArrays(NamedTuple):
     high: Array
     change: Array  # by how much an input may change in a sample, (m,)
     quantum: Array  # its steps, (m,)
-    pace: Array  # of set-points: as there, and how far from one counts as there, (outputs, 5)
+    pace: Array  # of set-points: as there, and last how far from one counts as there, (outputs, 5 … 7)
     timing: Array  # the sample time, ½, ⅓, longer than anything lasts, 0, (5,)
     windows: IntArray  # over how many samples each derivative above the jerk is a mean, (outputs, 0 … 2)
     window_start: IntArray  # where in `past` its samples begin
@@ -1217,7 +1217,8 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
                 early = early + width
         product = routine.timing[1] * width
         width = product
-    if left > 0.0 and room[at.going] < routine.pace[channel, 4] and room[at.going] > -routine.pace[channel, 4]:
+    width = routine.pace[channel, routine.pace.shape[1] - 1]
+    if left > 0.0 and room[at.going] < width and room[at.going] > -width:
         room[at.going] = 0.0
     degree = at.s // len(routine.pace) - 1
     room[at.made] = given[channel] - room[at.course + 4 * channel]
