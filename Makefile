@@ -128,6 +128,10 @@ $(PEERS): $(DEV)
 bench: $(PEERS) ## time our simulation against integrators for general systems
 	@$(BIN)/python benchmarks/simulation.py
 
+.PHONY: set-point-bench
+set-point-bench: $(PEERS) ## what is made of set-points against Ruckig: when it arrives, and what a sample takes
+	@$(BIN)/python benchmarks/set_points.py
+
 .PHONY: lmi-bench
 lmi-bench: $(PEERS) ## time our solver of matrix inequalities against CVXPY, PICOS and Clarabel
 	@$(BIN)/python -m benchmarks.lmi

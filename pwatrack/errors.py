@@ -35,6 +35,7 @@ class ProblemPart(Enum):
     BOUND = auto()  # of the norm of a gain
     COST = auto()
     SAMPLE_TIME = auto()  # of the controller
+    SET_POINTS = auto()  # at run time
     DURATION = auto()
     ESTIMATE = auto()  # of loads
 

@@ -31,6 +31,13 @@ class Plain:
         self.state |= {"x_hat": floats(x_hat), "eta_hat": floats(eta_hat)}
         w = [zero] * of["s"] if follows is None else floats(follows.w0)
         self.state |= {"w": w, "w1": w, "w2": w, "late": [[zero] * self.m] * self.delay, "before": [zero] * self.m}
+        self.pace = floats(program.pace)
+        self.windows = program.windows.tolist()
+        self.state |= {"course": [[zero, zero, zero, pace[0]] for pace in self.pace]}
+        rest = [[(pace[0], *[zero] * (3 + n)) for n in range(len(pace) - 4)] for pace in self.pace]
+        self.state["past"] = [
+            [[row] * N for row, N in zip(rows, Ns, strict=True)] for rows, Ns in zip(rest, self.windows, strict=True)
+        ]
         self.state |= {"run": False, "tick": 0, "since": 0, "i": 0, "j": 0, "x_d": [zero] * self.n}
 
     def row(self, a: Any, v: Any) -> Any:
@@ -69,6 +76,8 @@ class Plain:
         new["y"] = [self.real(v) for v in y]
         if follows is None:
             new["w"] = [self.real(v) for v in given]
+            if self.pace:
+                self.followed(old, new)
         if self.M:
             missed = [self.row(a, new["x_hat"]) - y for a, y in zip(self.C, new["y"], strict=True)]
             new["x_hat"] = [v + self.row(a, missed) for v, a in zip(new["x_hat"], self.M, strict=True)]
@@ -109,6 +118,67 @@ class Plain:
             i = self.cell_of(x_hat)
             x_hat = [self.row(a, [*u, *x_hat]) for a in self.observer[i]]
         return x_hat
+
+    def followed(self, old: Any, new: Any) -> None:
+        """Set-points, of which w is made."""
+        h, made, new["course"], new["past"] = self.real(self.program.sampling.sample_time), [], [], []
+        parts = zip(self.pace, old["course"], old["past"], new["w"], strict=True)
+        for (_, *limits), (d, v, a, r), past, given in parts:
+            zero = self.real(0.0)
+            now = (d + (given - r), v, a)
+            d_end = self.pursued(now, zero, self.real(2.0**100), limits)[0][0]
+            aim = limits[0] if d_end > 0 else -limits[0] if d_end < 0 else zero
+            early, width = zero, h
+            for _ in range(25):
+                width = self.real(0.5) * width
+                after, _ = self.pursued(now, aim, early + width, limits)
+                d_end = self.pursued(after, zero, self.real(2.0**100), limits)[0][0]
+                if (-d_end if aim < 0 else d_end) >= 0:
+                    early = early + width
+            after, _ = self.pursued(now, aim, early, limits)
+            after, left = self.pursued(after, zero, h - early, limits)
+            eps, steps = np.finfo(self.real).eps, enumerate(limits[:3], 1)
+            near = self.real(np.sqrt(eps) * min(float(m) * self.program.sampling.sample_time**k for k, m in steps))
+            if left > 0 and -near < after[0] < near:
+                after = (zero, *after[1:])
+            degree = min(self.program.sizes["s"] // len(self.pace) - 1, 3)
+            top = (now[0] - after[0]) / h if degree == 1 else (after[degree - 1] - now[degree - 1]) / h
+            row, later = [given - now[0], *now[1:degree], top], []
+            for window in past:
+                later.append([tuple(row), *window[:-1]])
+                row = self.mean(row, window)
+            new["past"].append(later)
+            made.append([row[0], *(max(-m, min(v, m)) for v, m in zip(row[1:], limits, strict=False))])
+            new["course"].append([*after, given])
+        new["w"] = [value for values in zip(*made, strict=True) for value in values]
+
+    def mean(self, row: Any, window: Any) -> Any:
+        """The mean over a window, newest first, that ends with a row: it has one more derivative."""
+        h, N, half = self.program.sampling.sample_time, len(window), self.real(0.5)
+        total = half * (window[-1][0] - row[0])
+        for before in window[:-1]:
+            total = total + (before[0] - row[0])
+        total = total / self.real(N) - self.real(h / (12 * N)) * (row[1] - window[-1][1])
+        return [row[0] + total, *((new - old) / self.real(N * h) for new, old in zip(row, window[-1], strict=True))]
+
+    def pursued(self, at: Any, target: Any, left: Any, limits: Any) -> Any:
+        """Go on for a time towards a speed: where that ends, and what is left of the time."""
+        half, third, zero = self.real(0.5), self.real(1 / 3), self.real(0.0)
+        (d, v, a), (_, largest, jerk) = at, limits[:3]
+        gap, bend = target - v, half * (a * a / jerk)
+        up = gap >= (-bend if a < 0 else bend)
+        gap, lean, rise = (gap, a, jerk) if up else (-gap, -a, -jerk)
+        turned = half * (lean * lean)
+        peak, hold = self.real(np.sqrt(abs(jerk * gap + turned))), zero
+        if peak > largest:
+            peak = largest
+            hold = (gap - (peak * peak - turned) / jerk) / peak
+        for lasting, bent in (((peak - lean) / jerk, rise), (hold, zero), (peak / jerk, -rise)):
+            t = min(max(lasting, zero), left)
+            left, more = left - t, t * bent
+            d = d - t * (v + t * (half * (a + third * more)))
+            v, a = v + t * (a + half * more), a + more
+        return ((d - left * target, target, zero) if left > 0 else (d, v, a)), left
 
     def turned(self, new: Any) -> None:
         new["tick"] += 1

@@ -116,7 +116,7 @@ class Block:
         assert len({name.upper() for name in self.types}) == len(self.types)
         self.body = indent("\n".join(self._statements(block.body.statements)), "    ")
         changed = ", ".join(name for name in self.types if name not in self.constants)
-        made: dict[str, Any] = {"real": FLOATS[self.float], "whole": whole}
+        made: dict[str, Any] = {"real": FLOATS[self.float], "whole": whole, "root": root}
         exec(f"def run({', '.join(self.types)}):\n{self.body}\n    return dict({same(changed)})", made)
         self._run = made["run"]
 
@@ -223,6 +223,9 @@ class Block:
                 return (f"bool{text}", "BOOL") if op in COMPARED else (text, kind)
             case tree.SimpleVariable(name=name):
                 return str(name), self.types[name]
+            case tree.FunctionCall(name=called, parameters=[square]):
+                assert str(called.name) == "SQRT"
+                return f"root({self._value(square.value, self.float)})", self.float
         assert isinstance(node, tree.MultiElementVariable)
         name, (subscripts,) = str(node.name.name), node.elements
         places = [self._typed(place) for place in subscripts.subscripts]
@@ -275,6 +278,10 @@ class Program:
         assert str(node.name.name) == self.instance
         assert name in self._block.outputs
         return itemgetter(name), self._block.types[name]
+
+
+def root(square: Any) -> Any:
+    return type(square)(np.sqrt(square))
 
 
 def whole(value: int, limits: tuple[int, int]) -> int:

@@ -35,7 +35,7 @@ def built(folder: Path, compiler: str, options: str, main: str = "main.c") -> st
     """Compile a folder with no warning and return what the program says."""
     needs(compiler, options)
     sources = [main, *(path.name for path in folder.glob("*.c") if path.name not in ("main.c", "faults.c"))]
-    command = [compiler, *FLAGS.split(), *options.split(), "-o", "program", *sources]
+    command = [compiler, *FLAGS.split(), *options.split(), "-o", "program", *sources, "-lm"]
     found = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stderr
     ran = subprocess.run([folder / "program"], cwd=folder, capture_output=True, text=True, check=False)

@@ -157,7 +157,7 @@ def _simulated(
 def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
     """Return the reference of a controller as it is given from outside, at some times."""
     assert file.program is not None
-    trajectory, count = controller.trajectory, len(file.program.outside.reference)
+    trajectory, count = controller.trajectory, len(file.program.outside.given)
     system, w = trajectory.exosystem, trajectory.exosystem.states(t)
     if not trajectory.names and (controller.generator is None or controller.generator.played_back):
         x_d = trajectory.x_d[0]  # the same in all cells, with its derivative
@@ -188,7 +188,7 @@ def _stored(path: Path, given: bool) -> Subject:
         again, runs = check_same(again, controller, file)
         found = _simulated(again, controller, runs, given, _STEPS)
         return Subject(file, text.decode(), tuple(unproved), found.vector, spec)
-    q, s = len(file.plant.outputs), len(file.program.outside.reference)
+    q, s = len(file.plant.outputs), len(file.program.outside.given)
     t = np.arange(_STEPS)[:, None]
     y, w = 0.1 * np.sin(0.01 * t * (1 + np.arange(q))), 0.1 * np.cos(0.01 * t * (1 + np.arange(s)))
     return Subject(file, text.decode(), tuple(unproved), Vector(y, w, "sinusoids: the spec was not at hand"), None)

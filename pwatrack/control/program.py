@@ -1,7 +1,7 @@
 """The controller as a program that runs once in a sample time: its numbers. What it does: `docs/arithmetic.md`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
@@ -13,11 +13,13 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.realisable import input_trajectory, state_trajectory
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import InvalidSpec, Problem, ProblemPart
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.model.reference import Exosystem
 
+PACE = "speed", "acceleration", "jerk", "snap", "crackle"  # what of y_d has limits where it is made of set-points
 RENEWED = 1, 2**10, 2**20  # samples after which w and its two copies are stepped on
+_LONGEST_WINDOW = 500  # samples: each is remembered, and looked at in each step
 _ON_TICK = 1e-9  # of a sample time: what is nearer to a tick is on it but for rounding
 _LARGEST = 1e100  # of an entry of a map that a machine may use
 
@@ -82,6 +84,8 @@ class SampledController:
         quantum: Steps of each input, (m,); 0 for none.
         follows: Where w comes from; None if it is given at each tick.
         reference: Names of the entries of w, where it is given.
+        pace: Of each output whose set-points are given, and not w: where it starts, and the limits of its speed,
+            acceleration, jerk and what is beyond, up to the relative degree, (outputs, 4 … 6); (0, 4) where w is given.
     """
 
     sampling: Sampling
@@ -103,6 +107,22 @@ class SampledController:
     quantum: Array
     follows: Follows | None
     reference: tuple[str, ...] = ()
+    pace: Array = field(default_factory=lambda: np.zeros((0, 4)))
+
+    @property
+    def windows(self) -> IntArray:
+        """Over how many samples each derivative of `pace` beyond the jerk is a mean, (outputs, 0 … 2).
+
+        A derivative within ± a limit differs over a window by twice that at most, and its mean has this divided by the
+        window as its derivative.
+        """
+        lengths = 2 * self.pace[:, 3:-1] / self.pace[:, 4:] / self.sampling.sample_time
+        return np.asarray(np.maximum(np.ceil(lengths), 1), dtype=np.int64)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of what is given at each tick: w, or the set-points that it is made of."""
+        return self.reference[: len(self.pace) or None]
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -114,15 +134,19 @@ class SampledController:
     def places(self) -> dict[str, slice]:
         """Where each of its numbers is in its memory, and behind that what it works with.
 
-        That is: guards, the last w; what is predicted, in a substep from (u, x̂, ŝ), and by how much y is missed.
+        That is: guards, the last w; what is predicted, in a substep from (u, x̂, ŝ), and by how much y is missed; the
+        way to a set-point, and how long it is bent and how.
         """
         of, late = self.sizes, self.sampling.delay
         lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
-        lengths |= {"w": of["s"], "copies": 2 * of["s"], "late": late * of["m"]}
+        lengths |= {"w": of["s"], "copies": 2 * of["s"], "course": 4 * len(self.pace)}
+        lengths |= {"past": int((self.windows * np.arange(4, 4 + self.windows.shape[1])).sum()), "late": late * of["m"]}
         lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
         lengths |= {"g": max(len(self.h), len(self.guards)), "source": of["s"]}
         predicted = of["N"] if self.sampling.corrects else 0
         lengths |= {"seen": predicted and of["m"] + predicted, "moved": predicted, "missed": predicted and of["q"]}
+        lengths |= dict.fromkeys(("going", "lasting", "bending"), 3 * bool(len(self.pace)))
+        lengths |= {"made": of["s"] // len(self.pace) if len(self.pace) else 0}
         edges = np.cumsum([0, *lengths.values()]).tolist()
         return dict(zip(lengths, map(slice, edges[:-1], edges[1:]), strict=True))
 
@@ -132,7 +156,8 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
     """Return the program of a controller that is sampled, within `conditions`: limits, rates and steps of inputs too.
 
     Where w is `given` at each tick it is y_d and its derivatives up to the relative degree, between ticks a Taylor
-    polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that.
+    polynomial; or x_d and its derivative; or, where x_d is the response to u_ff, that. With limits of set-points in
+    `conditions`, the program makes w of these.
 
     Example: the paper's example, 500 times a second.
 
@@ -177,7 +202,9 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
         quantum=np.zeros(m) if quanta is None else quanta.inputs,
         follows=None if given else _follows(trajectory.exosystem, sampling),
         reference=names,
+        pace=_pace(controller, conditions) if given else np.zeros((0, 4)),
     )
+    _check_windows(found)
     if not all(np.isfinite(table).all() for table in (found.observer, found.generator, found.u_ff, found.K, found.M)):
         message = f"{sampling.sample_time:g} s are too long a sample: what a cell does in it is out of range"
         raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), hint="a shorter sample time"))
@@ -298,6 +325,35 @@ def _given_trajectory(controller: ProvedController) -> tuple[DesiredTrajectory, 
         return input_trajectory(plant, _chains(m, 1), None), tuple(f"{u}_ff" for u in plant.inputs)
     names = [f"{x}_d" for x in plant.states]
     return state_trajectory(plant, _chains(n, 2)), (*names, *(f"d{name}/dt" for name in names))
+
+
+def _pace(controller: ProvedController, conditions: Conditions) -> Array:
+    """Return where each output starts, and its limits; they are refused where w is no y_d, or has more derivatives."""
+    if conditions.pace is None:
+        return np.zeros((0, 4))
+    generator, system, subject = controller.generator, controller.trajectory.exosystem, (ProblemPart.SET_POINTS,)
+    if generator is None or generator.played_back:
+        text = "set-points at run time need a trajectory generator that runs: output tracking without preview"
+        raise OutsideTheory(text, subject=subject)
+    if (degree := max(generator.form.degrees)) > len(PACE):
+        text = f"the relative degree is {degree}, and what is made of set-points has {len(PACE)} derivatives"
+        raise OutsideTheory(text, subject=subject)
+    if (needed := max(degree, 3)) != conditions.pace.shape[1]:
+        names = ", ".join(PACE[:needed])
+        raise InvalidSpec(
+            Problem(message=f"limits of {names} are needed, for a relative degree of {degree}", subject=subject)
+        )
+    return np.hstack([system.derivative_rows(0)[0] @ system.w0[:, None], conditions.pace])
+
+
+def _check_windows(found: SampledController) -> None:
+    """Refuse limits so low that means are over too many samples."""
+    longest = found.windows.max(axis=0, initial=0)
+    for beyond in np.flatnonzero(longest > _LONGEST_WINDOW).tolist():
+        name, least = PACE[3 + beyond], 2 * found.pace[:, 3 + beyond].max() / found.sampling.sample_time
+        message = f"the limit of {name} is so low that it takes means over {longest[beyond]:,} samples"
+        hint = f"at most {_LONGEST_WINDOW:,}: at least {least / _LONGEST_WINDOW:.3g}, or a lower limit before it"
+        raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
 
 
 def _chains(signals: int, length: int) -> Exosystem:

@@ -37,8 +37,8 @@ def header(source: Source) -> str:
     sizes = (
         f"State        {state} bytes",
         f"Constants    {constants} bytes",
-        f"One step     at most {multiplications} products and quotients, {additions} sums, {comparisons} comparisons"
-        " of floats",
+        f"One step     at most {multiplications} products, quotients and roots, {additions} sums,"
+        f" {comparisons} comparisons of floats",
     )
     about = source.about(sizes, "made inside; NULL will do")
     values = {
@@ -47,7 +47,7 @@ def header(source: Source) -> str:
         "upper": source.name.upper(),
         "q": of["q"],
         "m": of["m"],
-        "s": of["s"] if source.given else 0,
+        "s": len(source.program.given),
         "state_bytes": state,
         "constant_bytes": constants,
         "real": "float" if source.single else "double",
@@ -70,6 +70,7 @@ def code(source: Source) -> str:
         "upper": source.name.upper(),
         "real": real,
         "zero": language.words["0.0"],
+        "math": "#include <math.h>\n" * ("sqrt" in used),
         "m": source.program.sizes["m"],
         "widths": " && ".join(f"(FLT_EVAL_METHOD != {method})" for method in _WIDTHS[source.single]),
         "constants": "\n".join(_constant(source, name) for name in found.constants),
@@ -148,7 +149,7 @@ def _language(source: Source) -> Language:
         end="",
         within="/* within */",
         truth="{} != 0u",
-        words={"and": "&&", "or": "||", "not": "!", "True": "1u", "False": "0u"}
+        words={"and": "&&", "or": "||", "not": "!", "True": "1u", "False": "0u", "sqrt": f"sqrt{suffix}"}
         | {text: f"{text}{suffix}" for text in ("0.0", "1.0")},
         remainder="{} % {}",
         name=name,
@@ -188,7 +189,7 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
     failed = f"Its run FAILED: {'; '.join(source.file.failed)}. " if source.file.failed else ""
     reference = "The reference is made inside, from the first step on; pass NULL for it."
     if source.given:
-        reference = f"`ref` is, in this order: {', '.join(program.reference)}."
+        reference = f"`ref` is, in this order: {source.entries}."
     late = program.sampling.delay
     return {
         "title": source.file.name,

@@ -115,8 +115,8 @@ class Controller:
 
         Args:
             y: What is measured, (q,).
-            y_d: The reference and its derivatives, in the order of `file.program.outside.reference`; None for the
-                one that is stored. From a reset on all steps have one, or none has.
+            y_d: The reference and its derivatives, or set-points alone: what `file.program.outside.given`
+                names; None for the one that is stored. From a reset on all steps have one, or none has.
 
         Raises:
             ValueError: If a length is wrong, or a reference is given in some steps only.
@@ -131,9 +131,11 @@ class Controller:
             raise ValueError("the reference is given in some steps and not in others: reset in between")
         of = self._programs[given].sizes
         measured, wanted = (np.array(v if v is not None else [], dtype=self._real).reshape(-1) for v in (y, y_d))
-        if len(measured) != of["q"] or (given and len(wanted) != of["s"]):
+        if len(measured) != of["q"] or (given and len(wanted) != len(self._programs[given].given)):
             raise ValueError(
-                f"{of['q']} outputs" + f" and {of['s']} entries of the reference" * given + " are expected"
+                f"{of['q']} outputs"
+                + f" and {len(self._programs[given].given)} entries of the reference" * given
+                + " are expected"
             )
         kept = self._kept
         self.status = int(tick(self._routine, kept["memory"], kept["counts"], kept["room"], measured, wanted))
@@ -157,7 +159,7 @@ class Controller:
         plant, of = self.file.plant, self._programs[given]
         labels = {
             "name": prefix(self.file.name),
-            "inputs": [*plant.outputs, *(f"{w}_ref" for w in of.reference)],
+            "inputs": [*plant.outputs, *(f"{w}_ref" for w in of.given)],
             "outputs": plant.inputs,
         }
         return sampled_system(of, *self.file.started, self._real, {**labels, "units": plant.units})

@@ -101,7 +101,7 @@ def _controller_variables(c: Source) -> list[ModelVariable]:
         *(of_kind("input", name, "measured now", unit_of(name), 0.0) for name in plant.outputs),
         *(
             of_kind("input", _reference(name), f"reference: {name}", reference_unit(name, plant.units), 0.0)
-            for name in c.program.reference
+            for name in c.program.given
         ),
         *(of_kind("output", name, "put out from the start of the step", unit_of(name)) for name in plant.inputs),
         *(

@@ -55,7 +55,7 @@ def functions(source: Source) -> dict[str, str]:
     """Return the functions, by file name."""
     found, of, name = source.step, source.program.sizes, source.name
     language, used = _named(found), names(found.body)
-    sizes = {"y": of["q"], "ref": of["s"]} if source.given else {"y": of["q"]}
+    sizes = {"y": of["q"], "ref": len(source.program.given)} if source.given else {"y": of["q"]}
     checks = "\n".join(
         f"if numel({part}) ~= {size}\n    error('{name}:size', '{part} must have {size} entries');\nend"
         for part, size in sizes.items()

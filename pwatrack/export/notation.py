@@ -1,8 +1,8 @@
 """The notation in which a step is written once, and the languages that it is printed in.
 
 It is a part of Python: assignments, `if` with `elif` and `else`, `for` over a range of two whole numbers, indices from
-0, + - * / %, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False. A text by itself is a
-comment. A new language is a module with a function `write`, and a line of `LANGUAGES`.
+0, + - * / %, sqrt, one comparison at a time, `and`, `or`, `not`, whole numbers, floats, True and False. A text by
+itself is a comment. A new language is a module with a function `write`, and a line of `LANGUAGES`.
 """
 
 import ast
@@ -69,7 +69,7 @@ def _names(tree: ast.AST) -> set[str]:
 
 
 def most(text: str, reals: Set[str]) -> Counter[str]:
-    r"""Return how often lines of the notation do each of + - * / with floats at most, and compare them, as "<".
+    r"""Return how often a text does each of + - * / with floats at most, sqrt as /, and compares them, "<".
 
     `reals` are the names of floats.
 
@@ -84,6 +84,7 @@ def most(text: str, reals: Set[str]) -> Counter[str]:
         for part in ast.walk(node):
             if isinstance(part, ast.BinOp | ast.Compare) and _names(part) & reals:
                 found[_OPERATORS[type(part.op)] if isinstance(part, ast.BinOp) else "<"] += 1
+            found["/"] += isinstance(part, ast.Call) and "sqrt" in _names(part)
         return found
 
     def of_body(body: Sequence[ast.stmt]) -> Counter[str]:
@@ -157,6 +158,8 @@ class _Printer:
                 return f"{self.inner(left)} {self.word(_COMPARISONS[type(op)])} {self.inner(right)}"
             case ast.BoolOp(op=op, values=values):
                 return f" {words['and' if isinstance(op, ast.And) else 'or']} ".join(map(self.inner, values))
+            case ast.Call(func=ast.Name(id="sqrt"), args=[square]):
+                return f"{self.word('sqrt')}({self.value(square)})"
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return f"{words['not']}{self.inner(operand)}"
             case ast.UnaryOp(op=ast.USub(), operand=operand):

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pwatrack.control.sampled_gains import MOST_SUBSTEPS
 from pwatrack.model.conditions import Method, Sampling
 
-FORMAT = "pwatrack controller 5"
+FORMAT = "pwatrack controller 6"
 
 
 def _visible(text: str) -> str:
@@ -143,9 +143,19 @@ class Inside(Followed):
 
 
 class Outside(Followed):
-    """One whose reference is given at each tick: the names of its entries."""
+    """One whose reference is given at each tick: the names of its entries.
+
+    With a `pace`, set-points are given of the first ones, and it makes the others: where each starts, and the limits
+    of its speed, acceleration and jerk.
+    """
 
     reference: Texts
+    pace: Matrix
+
+    @property
+    def given(self) -> Texts:
+        """The names of what is given."""
+        return self.reference[: len(self.pace) or None]
 
 
 class Sampled(StoredPart):
@@ -194,7 +204,7 @@ class ControllerFile(StoredPart):
     `failed` says what its run did not achieve, in an export too; [] where it did all, or there was no run.
     """
 
-    format: Literal["pwatrack controller 5"]
+    format: Literal["pwatrack controller 6"]
     sha256: Digest
     name: Text
     spec_sha256: Digest

@@ -78,6 +78,11 @@ class Source:
         return step(self.routine, starts if self.given else {**starts, "start_w": kept[at["w"]]})
 
     @property
+    def entries(self) -> str:
+        """What is given of the reference, in order."""
+        return ", ".join(self.program.given) + ": set-points, also on the move" * bool(len(self.program.pace))
+
+    @property
     def claims(self) -> list[str]:
         """What is proved of its error, in sentences; last of the loop that is sampled."""
         assert self.file.program is not None
@@ -107,7 +112,7 @@ class Source:
             "",
             *([*sizes, ""] if sizes else []),
             f"y            {y}",
-            f"ref          {', '.join(self.program.reference) if self.given else reference}",
+            f"ref          {self.entries if self.given else reference}",
             f"u            {u}",
         ]
         return [said(line) for line in lines]

@@ -26,7 +26,7 @@ PRODUCT = "product"  # every product of floats is assigned to it before it is ad
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
 _ORDER = """
 H h observer C M generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
-signs sides piece_tick piece_start piece_length piece_value low high change quantum
+signs sides piece_tick piece_start piece_length piece_value low high change quantum pace timing weights
 """
 _SHORT = {"H": "normals", "h": "offsets", "x_d": "desired", "u_ff": "feedforward", "K": "gain"}  # cases are alike
 _SHORT |= {"C": "outputs", "M": "correction"}
@@ -48,6 +48,9 @@ if (total < 0.0) and (total > -all_whole):
     product = product + all_whole
 if product > total:
     product = product - 1.0"""  # the sum is a whole number next to total: a floor without a function of any library
+
+
+_PACING = ("gap", "lean", "rise", "peak", "part", "early", "width", "aim", "left")  # what set-points take
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,12 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
     `starts` has what x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
     """
     at, copies = routine.at, max(len(routine.turn) - 1, 0)
+    past = at.late - at.past
     arrays: tuple[Variable, ...] = (
         Variable("v", "real", at.w + at.s, "y, u, x_hat, s_hat, eta_hat, w"),
         Variable("copies", "real", copies * at.s, "of w, renewed every 2^10 and 2^20 samples"),
+        Variable("course", "real", 4 * len(routine.pace), "of each set-point: distance to go, speed, acceleration; it"),
+        Variable("past", "real", past, "what means are made of"),
         Variable("late", "real", at.delay * at.m, "inputs that wait to be put out, the next one first"),
         Variable("before", "real", at.m, "inputs computed last, limited"),
         Variable("wanted", "real", at.m, "inputs wanted before they were limited"),
@@ -93,11 +99,13 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
     own += [Variable("g", "real", at.source - at.g)] if at.source > at.g else []
     own += [Variable("source", "real", at.s)] if len(routine.turn) else []
     predicted = {"seen": at.m + at.N, "moved": at.N, "missed": at.q} if len(routine.M) else {}
-    own += [Variable(name, "real", length) for name, length in predicted.items()]
+    paced = {"going": 3, "lasting": 3, "bending": 3, "made": at.s // len(routine.pace)} if len(routine.pace) else {}
+    own += [Variable(name, "real", length) for name, length in {**predicted, **paced}.items()]
     own += [
         Variable(name, "whole") for name in ("a", "b", "i", "k", "level", *(("here", "stage") if predicted else ()))
     ]
     own += [Variable(name, "real") for name in ("total", PRODUCT, "difference", "worst", "least", "value", "last")]
+    own += [Variable(name, "real") for name in _PACING if paced]
     own.append(Variable("fine", "flag"))
     kept = (*arrays, *numbers, Variable("started", "flag", what="whether it has run"))
     hold = _loop("b", at.m, f"u[b] = v[{at.u} + b]\nif not {_finite(f'v[{at.u} + b]')}:\n    u[b] = 0.0")
@@ -139,6 +147,10 @@ def _begin(routine: "ControllerArrays", arrays: Iterable[Variable], numbers: Ite
         starts += [("start_w", f"copies[{_at(copy * at.s, 'k')}]", at.s) for copy in range(len(routine.turn) - 1)]
     for table, place, length in starts:
         yield _loop("k", length, f"{place} = {table}[k]")
+    for c in range(len(routine.pace)):
+        yield f"course[{4 * c + 3}] = pace[{c}, 0]"
+        for start, count in zip(routine.window_start[c], routine.windows[c], strict=True):
+            yield _loop("k", count, f"past[{_at(start, 'k')}] = pace[{c}, 0]")
     for number in numbers:
         yield f"{number.name} = 0"
     yield "started = False"
@@ -185,7 +197,7 @@ def _finite(value: str) -> str:
 def _statement() -> tuple[dict[str, ast.FunctionDef], dict[str, Any]]:
     """Return the functions of the kernel, and its whole numbers."""
     body = ast.parse(files("pwatrack.simulation").joinpath("kernel.py").read_text(encoding="utf-8")).body
-    known: dict[str, Any] = {"np": np, "len": len}
+    known: dict[str, Any] = {"np": np, "len": len, "min": min}
     for node in body:
         match node:
             case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=int(value))):
@@ -301,6 +313,8 @@ class _Worked:
                 return self.place(of, place, known, found)
             case ast.Call(func=ast.Attribute(attr="isfinite"), args=[inner]):
                 return ast.parse(_finite(ast.unparse(self.value(inner, known, found))), mode="eval").body
+            case ast.Call(func=ast.Attribute(attr="sqrt"), args=[inner]):
+                return ast.Call(ast.Name("sqrt"), [self.value(inner, known, found)], [])
             case ast.Call(func=ast.Attribute(attr="floor")):
                 found += ast.parse(_FLOOR).body
                 return ast.Name(PRODUCT)
@@ -348,7 +362,17 @@ class _Worked:
 
 
 _IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
-_WORK = ("g", "source", "seen", "moved", "missed")  # parts of the room that are not remembered
+_WORK = (
+    "g",
+    "source",
+    "seen",
+    "moved",
+    "missed",
+    "going",
+    "lasting",
+    "bending",
+    "made",
+)  # parts of the room that are not remembered
 
 
 class _Named(ast.NodeTransformer):

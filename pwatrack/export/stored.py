@@ -15,10 +15,10 @@ from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
-from pwatrack.control.program import Follows, Piece, SampledController, program
+from pwatrack.control.program import PACE, Follows, Piece, SampledController, program
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec
-from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Sampled
+from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Outside, Sampled
 from pwatrack.model.conditions import Conditions
 from pwatrack.spec.spec import Spec
 
@@ -98,7 +98,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
         "inside": _lists(inside, *_FOLLOWED) | made,
-        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference)},
+        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference), "pace": outside.pace.tolist()},
     }
 
 
@@ -186,6 +186,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         quantum=table("program.quantum", m),
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
+        pace=table("program.outside.pace", *_pace_shape(part.outside)) if given else np.zeros((0, 4)),
     )
     for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))
@@ -195,6 +196,11 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
                 hint="use double floats; a shorter sample time makes smaller numbers",
             )
     return found
+
+
+def _pace_shape(outside: Outside) -> tuple[int, int]:
+    outputs = len(outside.pace)
+    return outputs, max(4, len(outside.reference) // outputs) if outputs else 4
 
 
 def _follows(inside: Inside, turn: Array) -> Follows:
@@ -207,7 +213,10 @@ def _follows(inside: Inside, turn: Array) -> Follows:
 
 
 def _check_runs(known: ControllerFile) -> None:
-    inside, _ = (runs(known, given=given) for given in (False, True))
+    inside, outside = (runs(known, given=given) for given in (False, True))
+    outputs, entries = len(outside.pace), len(outside.reference)
+    if (outside.pace[:, 1:] <= 0).any() or (outputs and entries not in outputs * np.arange(2, 2 + len(PACE))):
+        raise ValueError("program.outside.pace: a limit is not positive, or its reference has other entries")
     follows, of = inside.follows, inside.sizes
     assert follows is not None
     if len(follows.early) != inside.sampling.ahead:
@@ -314,6 +323,8 @@ def check_same(
     found, conditions = runs(known), spec.scenario.conditions
     conditions = replace(conditions, sampling=conditions.sampling or found.sampling)
     made = Sampled.model_validate(sampled(controller, conditions))
+    if known.program.outside.pace != made.outside.pace:
+        raise _other("program.outside.pace")
     for name in _CHOSEN:
         for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
             raise _other(place)

@@ -22,7 +22,7 @@ ST = Language(
     other="ELSIF {} THEN\n{}\n",
     otherwise="ELSE\n{}\n",
     end="END_IF;",
-    words={"and": "AND", "or": "OR", "not": "NOT ", "==": "=", "True": "TRUE", "False": "FALSE"},
+    words={"and": "AND", "or": "OR", "not": "NOT ", "==": "=", "True": "TRUE", "False": "FALSE", "sqrt": "SQRT"},
     remainder="{} MOD {}",
     name=str,
     element="{}[{}]",
@@ -74,7 +74,7 @@ def function_block(source: Source) -> str:
         return _declared(called.own.get(variable.name, variable.name), kind, variable.what)
 
     own = [Variable("y", "real", of["q"], "inputs"), Variable("u", "real", of["m"], "outputs")]
-    own += [Variable("given", "real", of["s"], "inputs")] if source.given else []
+    own += [Variable("given", "real", len(source.program.given), "inputs")] if source.given else []
     own += [*(v for v in found.kept if v.name not in FIXED), Variable(_READY, "flag", what="whether it was started")]
     own += [variable for variable in found.own if variable.name in used]
     own.append(Variable(_LARGEST, "real", what="number"))
@@ -218,7 +218,7 @@ def _called(source: Source) -> Names:
     y, u = signals("y", plant.outputs, "measured"), signals("u", plant.inputs, "to be put out now")
     given = tuple(
         Port(legal(f"ref_{w}", taken), ("given", k), f"reference: {said(w)}{unit(reference_unit(w, plant.units))}")
-        for k, w in enumerate(source.program.reference)
+        for k, w in enumerate(source.program.given)
     )
     wanted = tuple(
         Port(

@@ -12,6 +12,7 @@ from pwatrack.model.conditions import Sampling
 if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays
 
+_EVER = 2.0**100  # s
 COUNTS = np.dtype([(name, np.int64) for name in ("started", "tick", "since", "piece", "cell", "cell_d", "status")])
 
 
@@ -26,7 +27,10 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
         return np.array(values, dtype=np.int64, order="C")
 
     of = program.sizes
-    corrects = program.sampling.corrects
+    corrects, h = program.sampling.corrects, program.sampling.sample_time
+    near = np.sqrt(np.finfo(real).eps) * (program.pace[:, 1:4] * h ** np.arange(1, 4)).min(axis=1, keepdims=True)
+    windows = program.windows
+    kept = windows * np.arange(4, 4 + windows.shape[1])
     s, known = of["s"], of["N"] - of["n"] + of["p"] + of["s"]
     follows = program.follows if s else None
     pieces, end = ((), None) if follows is None else (follows.pieces, follows.end)
@@ -53,6 +57,11 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
         piece_value=whole(starts[:-1]),
         low=numbers(program.limits[:, 0]),
         high=numbers(program.limits[:, 1]),
+        pace=numbers(np.hstack([program.pace, near])),
+        windows=whole(windows),
+        window_start=whole((np.cumsum(kept) - kept.ravel()).reshape(kept.shape)),
+        weights=numbers(np.stack([windows, windows * h, h / (12 * windows)], axis=-1)),
+        timing=numbers(np.array([h, 0.5, 1 / 3, _EVER, 0.0])),
         half=real(0.5),
         most=int(np.unique(ticks, return_counts=True)[1].max(initial=0)),
         end=-1 if end is None else end,
@@ -71,9 +80,16 @@ def memory(
     found = np.zeros(at["x_d"].stop, dtype=real)
     eta_hat = _gone_on(program, np.asarray(x_hat), np.asarray(eta_hat))
     found[at["x_hat"].start : at["s_hat"].stop], found[at["eta_hat"]] = x_hat, eta_hat
+    found[at["course"]][3::4] = program.pace[:, 0]
+    past = [
+        np.repeat([start, 0.0], [k, (3 + n) * k])
+        for start, row in zip(program.pace[:, 0], program.windows, strict=True)
+        for n, k in enumerate(row)
+    ]
+    found[at["past"]] = np.concatenate([np.zeros(0), *past])
     if program.follows is not None:
         found[at["w"]], found[at["copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)
-    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["missed"].stop, dtype=real)}
+    return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["made"].stop, dtype=real)}
 
 
 def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:

@@ -131,7 +131,8 @@ class Resets(NamedTuple):
 Places = namedtuple(
     "Places",
     "q m n N p s known delay ahead substeps "
-    "y u x_hat s_hat eta_hat w copies late before wanted change x_d g source seen moved missed",
+    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source seen moved missed "
+    "going lasting bending made",
 )
 
 
@@ -161,6 +162,11 @@ class ControllerArrays(NamedTuple):
     high: Array
     change: Array  # by how much an input may change in a sample, (m,)
     quantum: Array  # its steps, (m,)
+    pace: Array  # of set-points: as there, and last how far from one counts as there, (outputs, 5 … 7)
+    timing: Array  # the sample time, ½, ⅓, longer than anything lasts, 0, (5,)
+    windows: IntArray  # over how many samples each derivative above the jerk is a mean, (outputs, 0 … 2)
+    window_start: IntArray  # where in `past` its samples begin
+    weights: Array  # how many they are, how long, and what the ends count besides, (outputs, 0 … 2, 3)
     half: Any  # ½
     most: int  # how many pieces begin at one tick at most
     end: int  # the last tick at which the reference is defined, -1 if there is none
@@ -279,6 +285,7 @@ STATE = np.dtype(
 )
 DONE, NEW_MODE, FULL, STUCK, SPENT = range(5)  # why the walk stops
 RAN, ENDED, REFUSED = 0, 1, -1  # what comes of running the controller
+_TRIALS = 25  # halvings of a sample, of how long it goes on towards a set-point: the next sample makes up for the rest
 _RENEWED = 1024  # samples after which a copy of w is renewed, and after the square of which the other one is
 
 
@@ -1069,6 +1076,174 @@ def _act(routine: ControllerArrays, memory: Array, room: Array, new: Any, x: int
 
 
 @_as_written
+def _bend(routine: ControllerArrays, room: Array, channel: int, target: float) -> None:
+    """Write how (speed, acceleration) at room[going + 1:] gets to a speed in the least time: times, and their jerks.
+
+    The acceleration is bent towards it at the jerk that is allowed, held at its limit, and bent back to 0.
+    """
+    at = routine.at
+    gap = target - room[at.going + 1]
+    lean = room[at.going + 2]
+    rise = routine.pace[channel, 3]
+    product = lean * lean
+    product = product / rise
+    product = routine.timing[1] * product
+    part = product
+    if lean < 0.0:
+        part = -part
+    if gap < part:
+        gap = -gap
+        lean = -lean
+        rise = -rise
+    product = lean * lean
+    product = routine.timing[1] * product
+    part = product
+    product = routine.pace[channel, 3] * gap
+    peak = product + part
+    if peak < 0.0:
+        peak = -peak
+    peak = np.sqrt(peak)
+    room[at.lasting + 1] = 0.0
+    if peak > routine.pace[channel, 2]:
+        peak = routine.pace[channel, 2]
+        product = peak * peak
+        part = product - part
+        part = part / routine.pace[channel, 3]
+        part = gap - part
+        room[at.lasting + 1] = part / peak
+    part = peak - lean
+    room[at.lasting] = part / routine.pace[channel, 3]
+    room[at.lasting + 2] = peak / routine.pace[channel, 3]
+    room[at.bending] = rise
+    room[at.bending + 1] = 0.0
+    room[at.bending + 2] = -rise
+
+
+@_as_written
+def _pursue(routine: ControllerArrays, room: Array, channel: int, target: float, left: float) -> float:
+    """Go on for a time, from (distance to go, speed, acceleration) at room[going:], to a speed in the least time.
+
+    Returns what is left of the time: more than 0 where the speed is reached before.
+    """
+    at = routine.at
+    _bend(routine, room, channel, target)
+    for k in range(3):
+        part = room[at.lasting + k]
+        if part < 0.0:
+            part = routine.timing[4]
+        if part > left:
+            part = left
+        left = left - part
+        product = part * room[at.bending + k]
+        lean = product
+        product = routine.timing[2] * lean
+        gap = room[at.going + 2] + product
+        product = routine.timing[1] * gap
+        product = part * product
+        gap = room[at.going + 1] + product
+        product = part * gap
+        room[at.going] = room[at.going] - product
+        product = routine.timing[1] * lean
+        gap = room[at.going + 2] + product
+        product = part * gap
+        room[at.going + 1] = room[at.going + 1] + product
+        room[at.going + 2] = room[at.going + 2] + lean
+    if left > 0.0:
+        room[at.going + 1] = target
+        room[at.going + 2] = 0.0
+        product = left * target
+        room[at.going] = room[at.going] - product
+    return left
+
+
+@_as_written
+def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int, nth: int) -> None:
+    """Make y_d and its derivatives at room[made:] their means over a window that ends now: they have one more."""
+    at = routine.at
+    count, first = routine.windows[channel, nth], routine.window_start[channel, nth]
+    part = memory[at.past + first + count - 1] - room[at.made]
+    product = routine.timing[1] * part
+    value = product
+    for k in range(count - 1):
+        part = memory[at.past + first + k] - room[at.made]
+        value = value + part
+    value = value / routine.weights[channel, nth, 0]
+    part = room[at.made + 1] - memory[at.past + first + 2 * count - 1]
+    product = routine.weights[channel, nth, 2] * part
+    value = value - product
+    for order in range(nth + 4):
+        for k in range(count - 1):
+            room[at.past + first + order * count + 1 + k] = memory[at.past + first + order * count + k]
+        room[at.past + first + order * count] = room[at.made + order]
+    for order in range(nth + 4):
+        part = room[at.made + nth + 3 - order] - memory[at.past + first + (nth + 4 - order) * count - 1]
+        room[at.made + nth + 4 - order] = part / routine.weights[channel, nth, 1]
+    room[at.made] = room[at.made] + value
+
+
+@_as_written
+def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array, channel: int) -> None:
+    """Make a set-point y_d and its derivatives: on towards it for as long as a stop would still end before it.
+
+    The last derivative is its mean over the sample that begins.
+    """
+    at = routine.at
+    "3. Set-point {channel}."
+    part = given[channel] - memory[at.course + 4 * channel + 3]
+    room[at.course + 4 * channel] = memory[at.course + 4 * channel] + part
+    room[at.course + 4 * channel + 3] = given[channel]
+    early, width, aim, left = routine.timing[4], routine.timing[0], routine.timing[4], routine.timing[4]
+    for i in range(_TRIALS + 2):
+        for k in range(3):
+            room[at.going + k] = room[at.course + 4 * channel + k]
+        left = early
+        if i > 0 and i <= _TRIALS:
+            left = early + width
+        left = _pursue(routine, room, channel, aim, left)
+        left = routine.timing[3]
+        if i > _TRIALS:
+            left = routine.timing[0] - early
+        left = _pursue(routine, room, channel, routine.timing[4], left)
+        if i == 0:
+            if room[at.going] > 0.0:
+                aim = routine.pace[channel, 1]
+            if room[at.going] < 0.0:
+                aim = -routine.pace[channel, 1]
+        elif i <= _TRIALS:
+            part = room[at.going]
+            if aim < 0.0:
+                part = -part
+            if part >= 0.0:
+                early = early + width
+        product = routine.timing[1] * width
+        width = product
+    width = routine.pace[channel, routine.pace.shape[1] - 1]
+    if left > 0.0 and room[at.going] < width and room[at.going] > -width:
+        room[at.going] = 0.0
+    degree = at.s // len(routine.pace) - 1
+    room[at.made] = given[channel] - room[at.course + 4 * channel]
+    for order in range(1, min(degree, 3) + 1):
+        room[at.made + order] = room[at.course + 4 * channel + order]
+        if order == min(degree, 3):
+            part = room[at.going + order - 1] - room[at.course + 4 * channel + order - 1]
+            if order == 1:
+                part = room[at.course + 4 * channel] - room[at.going]
+            room[at.made + order] = part / routine.timing[0]
+    for nth in range(degree - 3):
+        _smooth(routine, memory, room, channel, nth)
+    room[at.w + channel] = room[at.made]
+    for order in range(1, degree + 1):
+        value = room[at.made + order]
+        if value > routine.pace[channel, order]:
+            value = routine.pace[channel, order]
+        if value < -routine.pace[channel, order]:
+            value = -routine.pace[channel, order]
+        room[at.w + order * len(routine.pace) + channel] = value
+    for k in range(3):
+        room[at.course + 4 * channel + k] = room[at.going + k]
+
+
+@_as_written
 def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given: Array, old: Any, new: Any) -> bool:
     """Write what the controller remembers after a tick to room and new, and say whether u may be put out.
 
@@ -1094,8 +1269,12 @@ def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given
     for a in range(at.q):
         room[at.y + a] = y[a]
     if len(routine.turn) == 0:
-        for a in range(at.s):
-            room[at.w + a] = given[a]
+        if len(routine.pace) > 0:
+            for channel in range(len(routine.pace)):
+                _follow(routine, memory, room, given, channel)
+        else:
+            for a in range(at.s):
+                room[at.w + a] = given[a]
     if len(routine.M) > 0:
         _correct(routine, room)
     if len(routine.h) > 0:
@@ -1135,7 +1314,7 @@ def tick(routine: ControllerArrays, memory: Array, counts: Any, room: Array, y: 
         counts: What it counts, and the cells of x̂ and x_d, see `routine.COUNTS`, likewise; and room for the next ones.
         room: To work in, see `routine.memory`.
         y: What was measured, (q,).
-        given: w from outside, (s,), where it is from there.
+        given: w from outside, (s,), where it is from there, or set-points that it is made of, (outputs,).
 
     Returns:
         RAN, ENDED (the reference has ended, and w stays as it is) or REFUSED (a number is not finite; nothing changes).

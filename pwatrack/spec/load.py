@@ -126,7 +126,7 @@ def _spec_of(
         plant = plant or build_plant(file.system, file.tolerance.continuity)
         plant = replace(plant, loads=build_loads(file.design.estimate, plant))
         reference = build_reference(file.reference, plant.tracked_names, folder, file.simulation.duration)
-        conditions = build_conditions(file.simulation, plant, parametric, folder)
+        conditions = build_conditions(file.simulation, plant, parametric, folder, file.reference.outside)
         check_cells(file.require, plant.cell_names)
     except PwatrackError as error:
         raise located(error, document.places) from None

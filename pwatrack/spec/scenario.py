@@ -33,6 +33,7 @@ from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection, ends_of
 from pwatrack.spec.parametric import ParametricPlant
 from pwatrack.spec.signal_section import (
+    OutsideSection,
     PolylineSection,
     ProfileSection,
     ReferenceSection,
@@ -353,7 +354,11 @@ def _box(uncertain: Mapping[str, Real | tuple[Real, Real]], parametric: Parametr
 
 
 def build_conditions(
-    section: SimulationSection, plant: PWASystem, parametric: ParametricPlant, folder: Folder
+    section: SimulationSection,
+    plant: PWASystem,
+    parametric: ParametricPlant,
+    folder: Folder,
+    outside: OutsideSection | None = None,
 ) -> Conditions:
     """Return what is not as the theorems assume; raises as `_courses`, and as the plant does that runs."""
     running = changed = limits = noise = disturbance = quanta = sampling = None
@@ -375,8 +380,10 @@ def build_conditions(
         sampling = Sampling(
             sample_time=sampled.period, method=sampled.method, delay=sampled.delay, jitter=sampled.jitter
         )
+    paces = [outside.filter[name] for name in plant.tracked_names] if outside is not None else []
     return Conditions(
         quanta=quanta,
+        pace=readonly([pace.limits for pace in paces]) if paces else None,
         rates=_vector(section.rate_limit, plant.inputs, np.inf) if section.rate_limit else None,
         plant=running,
         parameters=changed,

@@ -139,6 +139,32 @@ Signals = Annotated[
 ]
 
 
+class PaceSection(Section):
+    """Limits of the derivatives of what is made of set-points, as many as the relative degree, at least to the jerk."""
+
+    speed: Positive
+    acceleration: Positive
+    jerk: Positive
+    snap: Positive | None = None
+    crackle: Positive | None = None
+
+    @property
+    def limits(self) -> list[float]:
+        """Those that there are, in order."""
+        return [limit for name in type(self).model_fields if (limit := getattr(self, name)) is not None]
+
+    def rules(self, context: Context) -> Iterator[Fault]:
+        """Yield where one is left out."""
+        if self.crackle is not None and self.snap is None:
+            yield Fault(".snap is missing: crackle is beyond it")
+
+
+class OutsideSection(Section):
+    """A reference that comes at run time: set-points, of which the program makes y_d within limits, by output."""
+
+    filter: Annotated[dict[Name, PaceSection], Field(min_length=1)]
+
+
 class ReferenceSection(Section):
     """What to track: outputs, or for state tracking one of state, input, setpoint."""
 
@@ -153,6 +179,8 @@ class ReferenceSection(Section):
     """Of one tracked output, or of each by its name."""
     preview: Literal["auto", "none"] = "auto"
     """Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is refused."""
+    outside: OutsideSection | None = None
+    """What the program makes of set-points at run time, where it is exported for these."""
     state: Annotated[list[Signal], shaped("states")] | None = None
     input: Annotated[list[Signal], shaped("inputs")] | None = None
     start: Annotated[PeriodicOrVector, shaped("states")] | None = None
@@ -172,12 +200,30 @@ class ReferenceSection(Section):
             yield Fault("start goes with a reference 'input' only", ("start",))
         if self.preview != "auto" and self.output is None:
             yield Fault(".preview goes with reference.output", key=("preview",))
+        if self.outside is not None:
+            yield from self._outside_faults(context)
         if self.input is not None and self.start is None:
             yield Fault(".start is missing: x_d(0), or 'periodic'")
         if self.output is not None and "output" in fitting and context.followed:
             yield from (fault._replace(late=True) for fault in _output_faults(self.output, context.followed))
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
             yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
+
+    def _outside_faults(self, context: Context) -> Iterator[Fault]:
+        assert self.outside is not None
+        given = self.outside.filter
+        if self.output is None:
+            yield Fault(".outside goes with reference.output", key=("outside",))
+        unknown = [*unknown_names(given, context.followed)]
+        for name, meant in unknown:
+            where, text = ("outside", "filter", name), f": {shown(name)} is no tracked output{meant}"
+            yield Fault(text, where, late=True)
+        missing = [name for name in context.followed if name not in given]
+        if missing and not unknown:
+            text = f".outside.filter must give every tracked output, and leaves out {', '.join(missing)}"
+            yield Fault(text, key=("outside",), late=True)
+        if len({len(pace.limits) for pace in given.values()}) > 1:
+            yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
 
 
 def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:

@@ -14,6 +14,7 @@ _PATHS: Mapping[ProblemPart, Subject] = {
     ProblemPart.TRACKED: ("system", "track"),
     ProblemPart.REFERENCE: ("reference",),
     ProblemPart.START: ("reference", "start"),
+    ProblemPart.SET_POINTS: ("reference", "outside", "filter"),
     ProblemPart.DESIGN: ("design",),
     ProblemPart.CONTROLLER: ("design", "controller"),
     ProblemPart.OBSERVER: ("design", "observer"),

@@ -53,6 +53,8 @@ def design(spec: Spec, *, growing: bool = False) -> ProvedController:
             with spec.located():
                 if spec.scenario.conditions.sampling is not None:
                     program(controller, spec.scenario.conditions)  # or a refusal: a sample may be too long
+                    if spec.scenario.conditions.pace is not None:
+                        program(controller, spec.scenario.conditions, given=True)
                 return proved(controller, asked_of(spec, room, controller))
         except PwatrackError as refusal:
             return _practical(spec, growing, refusal)

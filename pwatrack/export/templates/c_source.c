@@ -1,7 +1,7 @@
 #include "@name@.h"
 
 #include <float.h>
-#include <stddef.h>
+@math@#include <stddef.h>
 
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
 #error "this controller needs IEEE arithmetic: no -ffast-math, and no part of it"
