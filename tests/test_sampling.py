@@ -345,6 +345,6 @@ def test_check_says_what_design_says_of_a_sample_time_where_the_gains_are_given(
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("  observer: {L: [[-10], [-30]]}\n", ""), encoding="utf-8")
     (remark,) = json.loads(call("check", path, "--json").stdout)["remarks"]
-    assert remark.startswith("what sampling every 0.5 s makes of the loop depends on its gains")
+    assert remark == "sampling every 0.5 s: design looks at it, with its gains"
     fast = cart(tmp_path, SLOW.replace("0.5", "0.01"), reference="0.08*cos(t)")
     assert json.loads(call("check", fast, "--json").stdout)["remarks"] == []

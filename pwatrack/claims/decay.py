@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import up
+from pwatrack.arrays import Array, up
 from pwatrack.claims.cost import Costs
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.limits import NoSaturation
@@ -95,13 +95,18 @@ class Decay(Claim):
             yield "guarantee", f"error {ends} from every start, {slowest(promised.rate)} ({theorem}){bounded}"
         if promised.generator:
             yield "guarantee", f"feedforward settles with {slowest(max(p.rate for p in promised.generator))}"
-        gains = f"K = {matrix_text(design.K)}, Lᵀ = {matrix_text(design.L.T)}"
-        if len(gains) > _LINE:
-            gains = f"K ≈ {matrix_text(design.K, '.3g')}, Lᵀ ≈ {matrix_text(design.L.T, '.3g')}"
-        if len(gains) > _LINE:
-            norm_K, norm_L = sizes.norms(design.K, design.L)
-            gains = f"‖K‖ = {norm_K:.4g}, ‖L‖ = {norm_L:.4g} 1/s in sizes; entries in gains.json"
-        yield "K, L", gains
+        norm_K, norm_L = sizes.norms(design.K, design.L)
+        norms = f"‖K‖ = {norm_K:.4g}, ‖L‖ = {norm_L:.4g} 1/s in sizes; entries in gains.json"
+        yield "K, L", in_a_line(design.K, "L", design.L, norms)
+
+
+def in_a_line(K: Array, name: str, other: Array, norms: str) -> str:
+    """Return K and another gain with five digits, or less, where that fits into a line; else their norms."""
+    for sign, form in (("=", ".5g"), ("≈", ".3g"), ("≈", ".2g")):
+        said = f"K {sign} {matrix_text(K, form)}, {name}ᵀ {sign} {matrix_text(other.T, form)}"
+        if len(said) <= _LINE:
+            return said
+    return norms
 
 
 def slowest(rate: float) -> str:

@@ -168,8 +168,7 @@ class Practical(Claim):
         tracked = controller.tracking
         ends = words.limits((form, size) for form, size in self.final.items() if form[0] == tracked)
         constant = up(1 / controller.guarantees.rate)
-        loop = "in continuous time " * any(claim.runs_with is not None for claim in controller.claims)
-        yield "guarantee", f"{loop}in the end {', '.join(ends)} from every start, time constant {constant} s"
+        yield "guarantee", f"in the end {', '.join(ends)} from every start, time constant {constant} s"
         yield "guarantee", f"exact tracking is refused, so {', '.join(_width_text(words, m) for m in self.merges)}"
 
 

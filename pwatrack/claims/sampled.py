@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import Array, amount, number_text, up
+from pwatrack.claims.decay import in_a_line
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
@@ -150,7 +151,8 @@ class SampledLoop(Claim):
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
             every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
-            yield "sampled", f"every {every} s, proved too: time constant {constant} s"
+            yield "sampled", f"sampled every {every} s, for any switching: time constant {constant} s"
+        yield "K, M", in_a_line(self.gains.K, "M", self.gains.M, "as it runs: in run.json, under sampled")
 
 
 def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:

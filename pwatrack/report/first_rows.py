@@ -39,12 +39,22 @@ def first_rows(
     yield from (("warning", text) for text in assessment.warnings)
     remarks = design_remarks(spec, controller) if result is None else result.remarks
     yield from (("remark", text) for text in remarks)
-    yield from brief(spec.words, controller)
+    yield from _proved(spec, controller)
     if largest is not None:
         yield "largest box", largest_text(largest)
     yield from _assessed(spec, controller, assessment)
     yield from _beyond(spec, controller, assessment)
     yield from _inputs(result)
+
+
+def _proved(spec: Spec, controller: ProvedController) -> Iterator[Row]:
+    """Yield what is proved, and the gains, of the loop that runs; if it is sampled the rest is of one that is not."""
+    labels = {"sampled": "guarantee", "guarantee": "continuous"}
+    sampling, rows = spec.scenario.conditions.sampling, list(brief(spec.words, controller))
+    own = any(label == "K, M" for label, _ in rows)
+    for label, text in rows:
+        if not own or label != "K, L":
+            yield label if sampling is None else labels.get(label, label), text
 
 
 def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: EnsembleResult | None) -> Iterator[Row]:

@@ -164,8 +164,7 @@ def sampling_known(spec: Spec) -> tuple[str, ...]:
     if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
         with suppress(PwatrackError):  # `design` says what
             return sampling_remarks(design(spec, growing=True), spec.scenario.conditions)
-    said = "depends on its gains: `design` looks at it in each cell"
-    return (f"what sampling every {sampling.sample_time:g} s makes of the loop {said}",)
+    return (f"sampling every {sampling.sample_time:g} s: design looks at it, with its gains",)
 
 
 def simulate(
