@@ -18,6 +18,7 @@ from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.practical import Practical
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import program
@@ -518,6 +519,31 @@ def test_a_run_of_the_true_plant_ends_within_the_bound_of_the_sampled_loop(
     continuous = controller.claim(Practical).final["output", 0]
     assert continuous < end < 2 * continuous
     assert len(run.loop.flow.parts[1].cells) == len(controller.plant.model.cell_names)
+
+
+def test_with_early_and_late_ticks_what_is_merged_is_in_the_proof_where_the_program_has_it_merged_too(
+    merged: tuple[Spec, ProvedController],
+) -> None:
+    """Else it would act on the observer's error by how much later a tick is: that is refused, by the auditor too."""
+    spec, controller = merged
+    gains, conditions = the_bounds(controller).errors.gains, spec.scenario.conditions
+    sampling = Sampling(sample_time=gains.sample_time, jitter=0.02 * gains.sample_time)
+    late = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
+    found = design(late)
+    claim = found.claim(SampledLoop)
+    if controller.plant.watched is None:
+        assert claim.proof is not None
+        bounds = the_bounds(found)
+        assert np.sqrt(bounds.acts.squares["deviation", 0].max()) == pytest.approx(
+            1.02 * float(found.claim(Practical).merges[0].largest)
+        )
+        assert not audit(json.dumps(design_certificate(late, found)))[1]
+    else:
+        assert claim.missing == "ticks come early and late, and the program runs cells that are merged in the design"
+        content = json.loads(json.dumps(design_certificate(spec, controller)))
+        content["sampled"]["jitter"] = "0.0001"
+        said, faults = audit(json.dumps(content))
+        assert (said, faults) == ([], ["what is merged acts otherwise where ticks come early and late"])
 
 
 def test_what_is_merged_is_in_the_certificate_of_the_sampled_loop(merged: tuple[Spec, ProvedController]) -> None:

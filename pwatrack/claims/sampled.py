@@ -161,6 +161,8 @@ def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:
 
 def _beyond(controller: ProvedController, gains: SampledGains) -> str:
     """Return why nothing is tried; "" where it is."""
+    if controller.plant.watched is not None and gains.jitter:
+        return "ticks come early and late, and the program runs cells that are merged in the design"
     plant, square = controller.plant, len(controller.plant.tracked) == controller.plant.B.shape[1]
     if plant.loads is not None and (plant.loads.inputs(plant.exact.B) is None or not (square or not controller.form)):
         return "loads that are estimated do not only act at inputs, one for each tracked output"

@@ -117,6 +117,8 @@ class Tubes:
             return column([e, nu, *d * [Delta], *d * [rho]]), -reduce(stacked, nominal), nothing
         if kind == "deviation":
             e = self.merged[k]
+            if self.errors.watched and len(self.errors.paces) > 1:  # it would be in Delta, by 1 - pace
+                raise AuditFault("what is merged acts otherwise where ticks come early and late")
             if self.errors.watched:
                 rho = [v for (v,) in (self.errors.R @ column([e])).centre] if q else rho
             else:
