@@ -406,8 +406,8 @@ def ensemble(
     Args:
         result: What `simulate` returned.
         count: How many members; the first members of a larger ensemble are the same.
-        over: What differs: the "initial" states, "parameters" of the plant, or the seed of the "noise"; within the
-            regions and intervals that the problem gives, else within those that `pwatrack.workflow.variation` names.
+        over: What differs: the "initial" states, of two of them alone in a "plane", "parameters" of the plant, or the
+            seed of the "noise"; within what the problem gives, else within what `pwatrack.workflow.variation` names.
         seed: Of the random numbers, at least 0.
         workers: Threads; None for one on each core. The result does not depend on it.
         executor: Where members run instead of threads here, `workers` at a time.
