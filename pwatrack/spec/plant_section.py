@@ -196,6 +196,25 @@ class TouchSection(ElementSection):
     stiffness: Exact
     damping: Exact
 
+    @property
+    def ends(self) -> tuple[Real | None, Real]:
+        """Where it touches from below, if there is such a side, and from above."""
+        raise NotImplementedError
+
+    def element(self, states: Sequence[str]) -> Contact:
+        """Return what it adds; a ValueError if its numbers make nothing."""
+        lower, upper = self.ends
+        return Contact(
+            name=self.name,
+            of=self.of,
+            rate=self.rate,
+            stiffness=self.stiffness,
+            damping=self.damping,
+            lower=lower,
+            upper=upper,
+            direction=self.direction(states),
+        )
+
     def restoring(self, states: Sequence[str]) -> Nonlinearity:
         """Return the spring, without gap and damper."""
         return Nonlinearity(
@@ -213,17 +232,10 @@ class ContactSection(TouchSection):
     kind: Literal["contact"]
     start: Exact = Real.of(0)
 
-    def element(self, states: Sequence[str]) -> Contact:
-        """Return what it adds; a ValueError if its numbers make nothing."""
-        return Contact(
-            name=self.name,
-            of=self.of,
-            rate=self.rate,
-            stiffness=self.stiffness,
-            damping=self.damping,
-            upper=self.start,
-            direction=self.direction(states),
-        )
+    @property
+    def ends(self) -> tuple[None, Real]:
+        """Where it touches from below and from above."""
+        return None, self.start
 
 
 class ElastoBacklashSection(TouchSection):
@@ -235,18 +247,10 @@ class ElastoBacklashSection(TouchSection):
     lower: Exact
     upper: Exact
 
-    def element(self, states: Sequence[str]) -> Contact:
-        """Return what it adds; a ValueError if its numbers make nothing."""
-        return Contact(
-            name=self.name,
-            of=self.of,
-            rate=self.rate,
-            stiffness=self.stiffness,
-            damping=self.damping,
-            lower=self.lower,
-            upper=self.upper,
-            direction=self.direction(states),
-        )
+    @property
+    def ends(self) -> tuple[Real, Real]:
+        """Where it touches from below and from above."""
+        return self.lower, self.upper
 
 
 ScalarElement = DeadZoneSection | SaturationSection | SpringSection | AbsoluteSection | PiecewiseLinearSection
