@@ -320,6 +320,24 @@ def test_the_steady_state_does_not_depend_on_the_first_guess(paper: Result) -> N
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-12, 1e12])
+def test_a_steady_state_is_found_whatever_the_unit_of_a_state(size: float) -> None:
+    """ζ' = −ζ + size w of w'' = −(2π)² w: known in closed form, also where it is tiny beside w or w beside it."""
+    omega = 2 * np.pi
+    F0 = np.zeros((4, 4))
+    F0[0, :2], F0[1, 2], F0[2, 1] = (-1.0, size), omega, -omega
+    whole = SwitchedPart(
+        name="plant",
+        cells=("everywhere",),
+        guards=np.zeros((0, 4)),
+        signs=np.zeros((1, 0), dtype=np.int64),
+        F=np.zeros((1, 4, 4)),
+    )
+    steady = periodic_state(Flow(F0=F0, parts=(whole,)), np.array([0.0, 0.0, 1.0, 1.0]), free=1, period=1.0)
+    wanted = size * (np.sin(omega * steady.t) - omega * np.cos(omega * steady.t)) / (1 + omega**2)
+    assert steady.z[:, 0] == pytest.approx(wanted, rel=1e-9, abs=1e-12 * size)
+
+
 def test_the_steady_state_repeats_and_has_the_multipliers_of_its_period_map(paper: Result) -> None:
     """Both are held against plain simulations of one period: the state itself, and the period map by differences."""
     steady, flow = paper.steady_state, desired_flow(paper.controller.plant, paper.controller.trajectory)

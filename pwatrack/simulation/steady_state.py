@@ -59,7 +59,7 @@ def periodic_state(
     constant) are kept, and repeat after one period by themselves. `subject` and `remedy` are what a refusal is about,
     and what may help. Raises OutsideTheory if Newton's method does not settle, or 1 is a multiplier of the period map.
     """
-    z = z0.copy()
+    z, found = z0.copy(), None
     for _ in range(_MOST_STEPS):
         trace = simulate_flow(flow, z, duration=period, sample_time=period / _SAMPLES)
         miss = trace.z[-1, :free] - z[:free]
@@ -67,15 +67,18 @@ def periodic_state(
         monodromy = period_map_derivative(flow, trace)[:free, :free]
         if residual <= _TOLERANCE:
             multipliers = np.linalg.eigvals(monodromy).astype(np.complex128)
-            return SteadyState(
-                **vars(trace), multipliers=multipliers[np.argsort(-np.abs(multipliers))], residual=residual
-            )
+            multipliers = multipliers[np.argsort(-np.abs(multipliers))]
+            last, found = found, SteadyState(**vars(trace), multipliers=multipliers, residual=residual)
+            if last is not None or not free:  # one step more: what is small beside the largest state settles too
+                return found
         gap = np.eye(free) - monodromy
         d = balancing(monodromy[None])
         least = float(np.linalg.svd(gap / d[:, None] * d, compute_uv=False)[-1])
         if least < _SINGULAR * max(1.0, float(np.linalg.norm(monodromy / d[:, None] * d))):
             break
         z[:free] += np.linalg.solve(gap, miss)
+    if found is not None:
+        return found
     raise OutsideTheory(
         f"no periodic solution of period {period:.6g} s was found: the state still moves by "
         f"{np.abs(miss).max():.2g} in one period",
