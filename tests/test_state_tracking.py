@@ -163,7 +163,7 @@ def test_a_periodic_solution_that_rounding_leaves_within_the_run_ends_with_6(
     """What differs from it grows as e^(growth t): about 32 / growth s after the start it is seen, and not before."""
     text = SMALL % (f"[[0, 1], [{growth} * (1 + {growth}), -1]]", f'{{input: ["{reference}"], start: periodic}}')
     path = tmp_path / "plant.yaml"
-    for duration, code in ((20, ExitCode.DONE), (60, ExitCode.CHECK_FAILED)):
+    for duration, code in ((20, ExitCode.DONE), (80, ExitCode.CHECK_FAILED)):
         path.write_text(text.replace("duration: 5", f"duration: {duration}"))
         result = simulate(load_spec(path))
         assert result.outcome.code == code
