@@ -137,8 +137,10 @@ def test_another_plane_is_taken_and_one_state_makes_none(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("limits", ["[-1, 1]", "[-1, 0]"])
-def test_an_input_is_marked_where_it_is_at_a_limit(tmp_path: Path, limits: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The marks take as much of the time as the events say; they are beside each limit that is reached, and no other."""
+def test_an_input_is_marked_where_it_is_at_a_limit(
+    tmp_path: Path, limits: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The marks take as much of the time as the events say, beside each limit that is reached and no other."""
     path = tmp_path / "far.yaml"
     path.write_text(BAR.replace("[0.2, 0, 0]", "[0.42, 0, 0]").replace("[-1, 1]", limits), encoding="utf-8")
     far = simulate(load_spec(path))

@@ -8,7 +8,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
-from pwatrack.report.plots.canvas import ACTUAL, BAND, BINDS, DESIRED, ESTIMATE, LIMIT, REQUIRED, ROUNDING, canvas, label, legend, limits
+from pwatrack.report.plots.canvas import (
+    ACTUAL,
+    BAND,
+    BINDS,
+    DESIRED,
+    ESTIMATE,
+    LIMIT,
+    REQUIRED,
+    ROUNDING,
+    canvas,
+    label,
+    legend,
+    limits,
+)
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.spec.requirement import RANGES
@@ -72,7 +85,7 @@ def estimates(result: SimulatedLoop) -> Figure:
 
 
 def control_input(result: SimulatedLoop) -> Figure:
-    """Draw each input with its feedforward part, its limits, where it is at them and what is proved, whole and at both ends."""
+    """Draw each input, its feedforward part, its limits, where it is at them and what is proved; also at both ends."""
     response, names = result.response, result.spec.problem.plant.inputs
     said = ("input (19)", "its feedforward part (16)")
     if result.controller.tracking == "state":
