@@ -1,13 +1,14 @@
 """Inputs at their limits: from which starts errors go to 0 all the same; beyond them they need not."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.linalg import block_diag, solve_continuous_are
+from scipy.linalg import block_diag, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array, IntArray
@@ -17,7 +18,7 @@ from pwatrack.claims.region import LimitedRegion
 from pwatrack.commands.verify import verify
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.saturated import Region, SaturatedLoop
+from pwatrack.lmi.saturated import LimitedGain, Region, SaturatedLoop
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
@@ -183,6 +184,79 @@ def test_no_start_on_the_edge_of_a_region_leaves_it_for_any_switching(seed: int)
     found = loop.around(np.eye(N), np.ones(m))
     assert found is not None
     assert growth(loop, found, 1 / max(found.sizes), random, 200) < 1e-9
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31), st.integers(2, 3), st.integers(1, 2), st.floats(0, 0.5))
+def test_whatever_a_gain_against_windup_proves_another_gain_proves_without_it(
+    seed: int, n: int, m: int, size: float
+) -> None:
+    """z = (e, Δ), Δ moved by E (v − D z): R = Q_ee and K' = (H Q)_e R⁻¹ never reach a limit from eᵀ R⁻¹ e ≤ 1."""
+    random = np.random.default_rng(seed)
+    loop = random_loop(random, n, m, 2)
+    B, K = loop.B.floats[:n], loop.D.floats[:, :n]
+    E = size * random.normal(size=(n, m)).round(3)
+    found = replace(loop, B=BallMatrix.of(np.vstack([B, E]))).around(np.eye(2 * n)[:, :n], np.ones(m))
+    assume(found is not None)
+    assert found is not None
+    Q = np.array([[float(v.p) / float(v.q) for v in row] for row in found.P.tolist()])
+    R = Q[:n, :n]
+    other = (found.H @ Q)[:, :n] @ np.linalg.inv(R)
+    for M in loop.M:
+        falls = (M.floats[:n, :n] - B @ K + B @ other) @ R
+        assert np.linalg.eigvalsh(falls + falls.T)[-1] < 0
+    assert (np.sqrt(np.diag(other @ R @ other.T)) <= np.array(found.sizes) * (1 + 1e-9)).all()
+
+
+def against_windup(A: list[Array], B: Array, K: Array, LC: Array, E: Array) -> SaturatedLoop:
+    """(e, Δ) with all pairs of cells A and E (v − K (e + Δ)) in Δ'."""
+    n = len(B)
+    M = [np.block([[A_i + B @ K, B @ K], [np.zeros((n, n)), A_j + LC]]) for A_i in A for A_j in A]
+    inner = solve_continuous_lyapunov(M[0], -np.eye(2 * n))
+    balls = [BallMatrix.of(F.round(6)) for F in (*M, np.vstack([B, E]), np.hstack([K, K]))]
+    return SaturatedLoop(M=balls[:-2], B=balls[-2], D=balls[-1], inners=[Inner(Q=inner, most=1e-3)])
+
+
+CART = np.array([[0, 1, 0, 0], [0, 0, -0.981, 0], [0, 0, 0, 1], [0, 0, 21.582, 0]])
+BENT = np.array([[0, 1], [0.5, 0]]), np.array([[0.0, 1], [0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "C", "starts", "cost", "E", "more"),
+    [
+        ([CART], [0, 20, 0, -40], [0, 2], [0.5, 0.5, 0.2, 0.5], 1.0, [-1.388, 1.165, -0.131, 0.776], 1.08),
+        (list(BENT), [0, 1], [0], [1, 1], 0.01, [0.001, -0.011], 1.02),
+    ],
+)
+def test_a_gain_against_windup_can_help_and_never_as_much_as_a_gain_made_for_the_region(
+    A: list[Array], B: list[float], C: list[int], starts: list[float], cost: float, E: list[float], more: float
+) -> None:
+    n, R, column = len(B), np.array([[cost]]), np.array(B, dtype=float)[:, None]
+    K = -column.T @ solve_continuous_are(A[0], column, np.eye(n), R) / cost
+    rows = np.eye(n)[C]
+    LC = -solve_continuous_are(A[0].T, rows.T, np.eye(n), np.eye(len(C))) @ rows.T @ rows
+    shares = list[float]()
+    for gain in (np.zeros((n, 1)), np.array(E)[:, None]):
+        found = against_windup(A, column, K, LC, gain).around(
+            np.vstack([np.diag(starts), np.zeros((n, n))]), np.ones(1)
+        )
+        assert found is not None
+        shares.append(1 / found.sizes[0])
+    boxes, still = [np.diag(starts)], np.zeros((n, n))
+    asked = LimitedGain(A=np.array(A), B=column, shift=still, starts=boxes, room=np.ones(1), over=np.inf)
+    far = asked.farthest()
+    assert far is not None
+    assert more * shares[0] < shares[1] < far[1]
+
+
+def test_a_stable_plant_is_brought_to_0_from_every_start_for_every_gain_by_one_against_windup() -> None:
+    """1 / (s + 1)³: no Q is common to A and A + B K as A (A + B K) has a negative eigenvalue (Shorten and Narendra)."""
+    A, B, nothing = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -3, -3]]), np.array([[0.0], [0], [1]]), np.zeros((3, 3))
+    K = -B.T @ solve_continuous_are(A, B, np.diag([1e4, 0, 0]), np.eye(1))
+    eigenvalues = np.linalg.eigvals(A @ (A + B @ K))
+    assert any(abs(v.imag) < 1e-9 and v.real < 0 for v in eigenvalues)
+    assert against_windup([A], B, K, nothing, 0 * B).everywhere() is None
+    assert against_windup([A], B, K, nothing, -B).everywhere() is not None
 
 
 MOVED = STAGE.replace("slope: 50", "slope: 1").replace("  units:", "  sizes: {z: 0.1, v: SPEED, u: 100}\n  units:")

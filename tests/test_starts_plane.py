@@ -11,9 +11,10 @@ from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.report.plots.region import starts_in_plane
+from pwatrack.report.plots.signals import control_input
 from pwatrack.workflow.variation import EnsembleResult, sections
 from tests.test_cli import call, index_of, refused
-from tests.test_drawing import points
+from tests.test_drawing import points, written
 
 BAR = """
 name: Balanced bar on a buffer
@@ -133,3 +134,23 @@ def test_another_plane_is_taken_and_one_state_makes_none(tmp_path: Path) -> None
     (tmp_path / "one.yaml").write_text(f"name: one\n{text}simulation: {{duration: 1, sample_time: 0.1}}\n")
     with pytest.raises(InvalidSpec, match="the plant has one state: there is no plane"):
         ensemble(simulate(load_spec(tmp_path / "one.yaml")), 2, over="plane")
+
+
+@pytest.mark.parametrize("limits", ["[-1, 1]", "[-1, 0]"])
+def test_an_input_is_marked_where_it_is_at_a_limit(
+    tmp_path: Path, limits: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The marks take as much of the time as the events say, beside each limit that is reached and no other."""
+    path = tmp_path / "far.yaml"
+    path.write_text(BAR.replace("[0.2, 0, 0]", "[0.42, 0, 0]").replace("[-1, 1]", limits), encoding="utf-8")
+    far = simulate(load_spec(path))
+    figure, share = control_input(far), far.figures.time_share["actuator F"]
+    marks = [points(line) for line in figure.axes[0].lines if line.get_label() == "at a limit"]
+    low, high = map(float, limits.strip("[]").split(","))
+    reached = {level: share[name] for level, name in ((low, "low"), (high, "high")) if share.get(name)}
+    assert [np.nanmax(mark[:, 1]) for mark in marks] == list(reached)
+    for mark, much in zip(marks, reached.values(), strict=True):
+        assert abs(np.isfinite(mark[:, 1]).mean() - much) < 2 / len(mark)
+    assert len(reached) == (2 if high == 0 else 1)
+    for text, box in written(figure, monkeypatch):
+        assert figure.bbox.x0 <= box.x0 <= box.x1 <= figure.bbox.x1, text

@@ -26,6 +26,14 @@ BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6,
 BAND: dict[str, Any] = {"color": "0.88", "linewidth": 0, "zorder": 0}
 WORST: dict[str, Any] = {"color": "black", "linewidth": 0.9, "linestyle": (0, (3, 1.5))}
 LIMIT: dict[str, Any] = {"color": "0.3", "linewidth": 1.0, "linestyle": (0, (5, 1, 1, 1))}
+BINDS: dict[str, Any] = {
+    "color": "0.65",
+    "linewidth": 5,
+    "marker": "s",
+    "markersize": 5,
+    "markeredgewidth": 0,
+    "zorder": 1,
+}
 REQUIRED: dict[str, Any] = {"color": "#a3195b", "linewidth": 1.1, "linestyle": (0, (2, 1))}
 WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print

@@ -8,7 +8,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array
-from pwatrack.report.plots.canvas import ACTUAL, BAND, DESIRED, ESTIMATE, LIMIT, REQUIRED, canvas, label, legend, limits
+from pwatrack.report.plots.canvas import (
+    ACTUAL,
+    BAND,
+    BINDS,
+    DESIRED,
+    ESTIMATE,
+    LIMIT,
+    REQUIRED,
+    ROUNDING,
+    canvas,
+    label,
+    legend,
+    limits,
+)
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.spec.requirement import RANGES
@@ -72,7 +85,7 @@ def estimates(result: SimulatedLoop) -> Figure:
 
 
 def control_input(result: SimulatedLoop) -> Figure:
-    """Draw each input with its feedforward part, its limits and what is proved of it, whole and at both ends."""
+    """Draw each input, its feedforward part, its limits, where it is at them and what is proved; also at both ends."""
     response, names = result.response, result.spec.problem.plant.inputs
     said = ("input (19)", "its feedforward part (16)")
     if result.controller.tracking == "state":
@@ -84,6 +97,9 @@ def control_input(result: SimulatedLoop) -> Figure:
             drawn += [limit for limit in actuator[k].tolist() if np.isfinite(limit)]
             for limit in drawn:
                 axes.axhline(limit, label="limit", **LIMIT)
+                binds = np.abs(response.u[:, k] - limit) <= ROUNDING * np.abs(response.u[:, k]).max()
+                if binds.any():
+                    axes.plot(response.t, np.where(binds, limit, np.nan), label="at a limit", **BINDS)
         for wish in limits(result, "largest_input", names[k]):
             for sign in (-1, 1):
                 axes.axhline(sign * wish, label="required", **REQUIRED)
