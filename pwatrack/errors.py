@@ -65,6 +65,7 @@ class Way(Enum):
     DESIRED_START = auto()
     SMALLER_BOX = auto()  # of uncertain parameters
     FASTER_SAMPLES = auto()  # a time in s at which simulated runs died out
+    SLOWER_GAINS = auto()
 
 
 @dataclass(frozen=True)

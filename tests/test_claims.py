@@ -22,7 +22,7 @@ from pwatrack.report.first_rows import first_rows
 from pwatrack.report.parameters import run_rows
 from pwatrack.report.plant import print_plant
 from pwatrack.report.required import required
-from pwatrack.workflow.cautions import assessed, plant_warnings
+from pwatrack.workflow.cautions import assessed, plant_questions
 from pwatrack.workflow.pipeline import design
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
@@ -100,7 +100,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     console = Console(file=io.StringIO(), width=200)
     for values in ({"sign": "1"}, {"d": "0"}):
         odd = load_spec(stage(tmp_path), values).problem.plant
-        rows += [(False, "warning", text) for text in plant_warnings(odd)]
+        rows += [(False, "question", text) for text in plant_questions(odd)]
     for path in plants(specs, tmp_path):
         spec = load_spec(path)
         sizes, tracking = spec_sizes(spec), spec.problem.tracking

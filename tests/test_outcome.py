@@ -188,7 +188,7 @@ def test_a_loop_that_runs_away_ends_with_6_and_all_its_files(tmp_path: Path, con
     assert run.exit_code == 6, run.output
     assert f"error: {path}: the error grows: |y − y_d| up to" in run.stderr
     title, first, *_ = lines(run.stdout)
-    assert title == "Cart"
+    assert title == "Cart: NOT READY: grows"
     assert re.match(r"simulated the error grows: \|y − y_d\| up to", first)
     assert "NOT proved for plant with k = 12" in " ".join(run.stdout.split())
     _, first, second, third, *_ = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
@@ -230,7 +230,8 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
     _, first, *_ = lines(run.stdout)
-    assert re.match(r"simulated 20 s, limits, disturbance: off, error \S+ m in the last tenth, \S+ at worst$", first)
+    said = "simulated 20 s, limits, disturbance: NOT to 1 % of reference and start, error at most"
+    assert re.match(said + r" \S+ m from 18 s on; \S+ m before$", first)
     assert "NOT proved for u limited to [-0.1, 0.1]" in lines(run.stdout)
     said = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
     assert "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt" in said
@@ -240,9 +241,10 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
 def test_a_good_run_says_so_in_a_line(tmp_path: Path) -> None:
     run = call("simulate", cart(tmp_path), "--out", tmp_path / "out")
     _, first, second, third, *_ = lines(run.stdout)
-    assert re.match(r"simulated 20 s: tracks, error \S+ m in the last tenth, \S+ at worst$", first)
-    assert re.match(r"warning a mode at 3.16 rad/s has damping 0:", second)  # the file has none
-    assert re.match(r"guarantee error to 0 from every start, time constant \S+ s \(Theorem 3\)", third)
+    said = r"simulated 20 s of the ideal loop: tracks to 1 %, error at most \S+ m( \(rounding\))? from 18 s on; \S+ m"
+    assert re.match(said, first)
+    assert re.match(r"question a mode at 3.16 rad/s has damping 0;", second)  # the file has none
+    assert re.match(r"ideal loop proved: error to 0 from every start, time constant \S+ s; ", third)
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "tracks"
 
 

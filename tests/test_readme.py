@@ -32,7 +32,7 @@ def test_the_summary_in_the_readme_is_how_what_is_printed_begins(tmp_path: Path)
     def words(text: str) -> list[str]:
         return re.sub(r"-?\d[\d.]*(e[-+]\d+)?", "#", text).split()
 
-    shown = re.search(r"(?m)^    Two masses with backlash\n(?:    .*\n)+", README)
+    shown = re.search(r"(?m)^    Two masses with backlash: .*\n(?:    .*\n)+", README)
     printed = call("simulate", "specs/two_mass_backlash.yaml", "--out", tmp_path / "run").stdout
     assert shown is not None
     beginning = words(shown.group())

@@ -92,7 +92,7 @@ def test_a_sample_time_that_diverges_is_refused_with_one_that_does(tmp_path: Pat
     assert f"{path}:{line}:" in error
     found = re.search(
         r"sampled every 0\.5 s, the loop is unstable in cell '(?:stop on|stop off)': as long as it stays there, one "
-        r"sample multiplies what is off by (\S+) in the long run; at (\S+) s no cell by itself is unstable, and "
+        r"sample multiplies an error by (\S+) in the long run; at (\S+) s no cell by itself is unstable, and "
         r"at (\S+) s all of (\d+) simulated runs from other starts died out",
         error,
     )
@@ -345,6 +345,6 @@ def test_check_says_what_design_says_of_a_sample_time_where_the_gains_are_given(
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("  observer: {L: [[-10], [-30]]}\n", ""), encoding="utf-8")
     (remark,) = json.loads(call("check", path, "--json").stdout)["remarks"]
-    assert remark == "sampling every 0.5 s: design looks at it, with its gains"
+    assert remark == "sampling every 0.5 s is not judged here: 'design' does, with its gains"
     fast = cart(tmp_path, SLOW.replace("0.5", "0.01"), reference="0.08*cos(t)")
     assert json.loads(call("check", fast, "--json").stdout)["remarks"] == []

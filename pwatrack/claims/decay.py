@@ -16,14 +16,14 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
-from pwatrack.control.words import Words, all_cells, down, load_kind, matrix_text
+from pwatrack.control.words import IDEAL, Words, all_cells, down, load_kind, matrix_text
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
 from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 
-_LINE = 68  # letters of gains on the first screen: what takes more is rounded, and else left to its file
+_LINE = 68  # letters of gains on the first screen: what takes more is left to its file
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 
@@ -85,38 +85,24 @@ class Decay(Claim):
         yield from _guarantee_rows(controller, practical=bool(practical))
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield the time constants that are proved, and the gains."""
-        promised, design, sizes = controller.guarantees, controller.design, controller.sizes
+        """Yield the time constant that is proved, and the gains."""
         if not controller.claims_of(Practical):
             played = [up(played.error) for played in controller.claims_of(StableInversion)]
             ends = f"below {played[0]} {words.unit_of_tracked()}".rstrip() if played else "to 0"
             bounded = "" if controller.trajectory.bounded else ", while x_d stays bounded"
             theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
-            yield "guarantee", f"error {ends} from every start, {slowest(promised.rate)} ({theorem}){bounded}"
-        if promised.generator:
-            yield "guarantee", f"feedforward settles with {slowest(max(p.rate for p in promised.generator))}"
-        norm_K, norm_L = sizes.norms(design.K, design.L)
-        norms = f"‖K‖ = {norm_K:.4g}, ‖L‖ = {norm_L:.4g} 1/s in sizes; entries in gains.json"
-        yield "K, L", in_a_line(design.K, "L", design.L, norms)
+            constant = up(1 / controller.guarantees.rate)
+            said = f"proved: error {ends} from every start, time constant {constant} s"
+            yield "ideal loop", f"{said}; {IDEAL}{bounded}, {theorem}"
+        yield "K, L", in_a_line(words, controller.design.K, "L", controller.design.L, "K and L are in gains.json")
 
 
-def in_a_line(K: Array, name: str, other: Array, norms: str) -> str:
-    """Return K and another gain with five digits, or less, where that fits into a line; else their norms."""
-    for sign, form in (("=", ".5g"), ("≈", ".3g"), ("≈", ".2g")):
-        said = f"K {sign} {matrix_text(K, form)}, {name}ᵀ {sign} {matrix_text(other.T, form)}"
-        if len(said) <= _LINE:
-            return said
-    return norms
-
-
-def slowest(rate: float) -> str:
-    """Return the time constant of a decay rate in s, rounded up.
-
-    Example:
-        >>> slowest(0.0694), slowest(3.0)
-        ('time constant 14.5 s', 'time constant 0.334 s')
-    """
-    return f"time constant {up(1 / rate)} s"
+def in_a_line(words: Words, K: Array, name: str, other: Array, where: str) -> str:
+    """Return the law of the input with K and another gain where there is room for five digits, else where they are."""
+    loads = () if words.plant.loads is None else words.plant.loads.names
+    rows = f"x = ({', '.join(words.plant.states)}){', then ' * bool(loads)}{', '.join(loads)}"
+    gains, law = f"K = {matrix_text(K)}, {name}ᵀ = {matrix_text(other.T)}", "u = u_ff + K (x̂ − x_d)"
+    return f"{gains}; {law}, {rows}" if len(gains) <= _LINE else f"{where}; {law}"
 
 
 def read_proofs(content: Mapping[str, Any]) -> list[AnyProof | Dichotomy]:

@@ -124,10 +124,10 @@ class KeptLimits(Claim):
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether they are kept from the start of the run, where that is proved of the loop that runs."""
-        left, names = self.left, ", ".join(self.signals.names)
-        for promise in self.promises if words.conditions.sampling is None else ():
-            if left is not None and promise.starts.kind == "run" and promise.scale(left) >= 1:
-                yield "guarantee", f"limits of {names} kept from this start{self._acting} (proved)"
+        names = ", ".join(self.signals.names)
+        for promise in self.promises:
+            if promise.of_this_run(self.left):
+                yield "ideal loop", f"limits of {names} kept from this start{self._acting}"
 
 
 def _between(low: float, high: float) -> str:

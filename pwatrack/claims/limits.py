@@ -95,6 +95,10 @@ class StartGuarantee:
         starts = starts if scale >= 1 else f"{down(scale)} times the errors of {starts}"
         return starts + " with x̂ = x" * (kind == "members")
 
+    def of_this_run(self, left: Array | None) -> bool:
+        """Whether it is of the start of the run, where the feedforward leaves so much, (m,)."""
+        return left is not None and self.starts.kind == "run" and self.scale(left) >= 1
+
     def figures(self, left: Array, names: Sequence[str]) -> dict[str, Any]:
         """Return the same as figures."""
         scale, sizes = self.scale(left), self.held.sizes if self.held else [0.0] * len(self.inputs)
@@ -225,10 +229,13 @@ class NoSaturation(Claim):
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether the start of the run keeps off all limits, where that is proved."""
-        left = self.room.left
-        for promise in self.promises:
-            if left is not None and promise.starts.kind == "run" and promise.scale(left) >= 1:
-                yield "input", "from this start never at a limit while nothing disturbs (proved)"
+        if self.from_this_start:
+            yield "ideal loop", "no limit of an input is reached from this start"
+
+    @property
+    def from_this_start(self) -> bool:
+        """Whether it is proved that no limit is reached from the start of the run."""
+        return any(promise.of_this_run(self.room.left) for promise in self.promises)
 
 
 def promises(

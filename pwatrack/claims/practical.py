@@ -35,7 +35,7 @@ from pwatrack.claims.exact_text import (
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.synthesis import Gains
-from pwatrack.control.words import Words, sized
+from pwatrack.control.words import IDEAL, Words, sized
 from pwatrack.errors import Problem
 from pwatrack.lmi.peak_gain import PeakGain, peak_gain
 from pwatrack.lmi.polynomial import AnyProof
@@ -167,9 +167,9 @@ class Practical(Claim):
         """Yield below what each tracked signal ends, and that no gain has it go to 0."""
         tracked = controller.tracking
         ends = words.limits((form, size) for form, size in self.final.items() if form[0] == tracked)
-        constant = up(1 / controller.guarantees.rate)
-        yield "guarantee", f"in the end {', '.join(ends)} from every start, time constant {constant} s"
-        yield "guarantee", f"exact tracking is refused, so {', '.join(_width_text(words, m) for m in self.merges)}"
+        constant, widths = up(1 / controller.guarantees.rate), ", ".join(_width_text(words, m) for m in self.merges)
+        said = f"proved: in the end {', '.join(ends)} from every start, time constant {constant} s"
+        yield "ideal loop", f"{said}; {IDEAL}, no exact tracking, as {widths}"
 
 
 def least_merges(

@@ -15,6 +15,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.exact_text import decimal_texts, doubles
 from pwatrack.claims.limits import (
+    NoSaturation,
     StartGuarantee,
     drive_rows,
     loads_at,
@@ -110,6 +111,17 @@ class LimitedRegion(Claim):
         if cheaper is not None:
             much = f"{_smaller(controller, cheaper):.2g} times smaller"
             yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield whether errors go to 0 from the start of the run with inputs at their limits, where that is proved."""
+        if self.from_this_start(controller) and not any(c.from_this_start for c in controller.claims_of(NoSaturation)):
+            goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
+            yield "ideal loop", f"{goes} from this start with inputs at their limits too"
+
+    def from_this_start(self, controller: ProvedController) -> bool:
+        """Whether it is proved of the start of the run."""
+        free, left = controller.plant.loads is None, self.room.spare
+        return any(one.of_this_run(left) or (free and one.starts.kind == "every") for one in self.found)
 
     def _with_loads(self, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
         """Say with which loads."""

@@ -151,8 +151,9 @@ class SampledLoop(Claim):
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
             every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
-            yield "sampled", f"sampled every {every} s, for any switching: time constant {constant} s"
-        yield "K, M", in_a_line(self.gains.K, "M", self.gains.M, "as it runs: in run.json, under sampled")
+            said = f"proved off the limits, every {every} s: errors decay, time constant {constant} s"
+            yield "as sampled", said
+        yield "K, M", in_a_line(words, self.gains.K, "M", self.gains.M, "K and M are in run.json, under sampled")
 
 
 def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:

@@ -39,8 +39,9 @@ from pwatrack.workflow.tracking import desired_trajectory
 
 CERTIFICATE, CONTROLLER = "certificate.json", "controller.json"
 _ALONE = [  # of run.json, what no proof decides: what was simulated or found on the way, and how the run went
-    *("format", "spec", "simulation", "exit", "seconds", "answered", "versions", "remarks", "warnings", "margins"),
-    *("requirements", "conditions", "files", "estimates", "tracked", "preview", "ensemble", "largest_box"),
+    *("format", "spec", "simulation", "exit", "seconds", "answered", "versions"),
+    *("remarks", "warnings", "questions", "margins", "requirements"),
+    *("conditions", "files", "estimates", "tracked", "preview", "ensemble", "largest_box"),
 ]
 _PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}

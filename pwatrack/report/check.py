@@ -1,17 +1,16 @@
 """What `check` says first: whether a controller can be designed, what the plant is, and what is odd of it."""
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from pwatrack.arrays import amount
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Row
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.plant import size_texts
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.report.terminal import visible
 from pwatrack.simulation.modes import Mode, modes
-from pwatrack.workflow.cautions import plant_warnings
+from pwatrack.workflow.cautions import plant_questions
 
 _EXACT = {  # what a route is, by its name
     "Theorem 2": "state tracking, Theorem 2",
@@ -28,6 +27,7 @@ def check_screen(
     *,
     reference: str,
     sizes: Sizes | None,
+    units: Mapping[str, str],
     remarks: Sequence[str],
     refused: bool,
 ) -> list[str]:
@@ -35,24 +35,36 @@ def check_screen(
     reference, _, why_not = reference.partition("; exact tracking is refused: ")
     said = can_be_designed(report, why_not, refused=refused)
     first = textwrap.wrap(visible(said), COLUMNS, max_lines=3, placeholder=" …")
-    rows = [*plant_rows(report, name), *([("reference", reference)] if reference else [])]
-    rows += [("sizes", f"what counts as 1: {size_texts(sizes)[0].removeprefix('sizes: ')}")] if sizes else []
+    rows = [*plant_rows(report, name), *([("reference", f"checked: {reference}")] if reference else [])]
+    rows += [("sizes", "what counts as 1: " + "; ".join(_size_parts(sizes, units)))] if sizes else []
     rows += [("remark", remark) for remark in (*report.plant.remarks, *remarks)]
     return [*first, *fitted(joined(rows), LINES - len(first))]
 
 
+def _size_parts(sizes: Sizes, units: Mapping[str, str]) -> Iterator[str]:
+    """Yield each size with its unit, and whether the file gives it."""
+    for name, size in sizes.by_name.items():
+        given = " (given)" * (sizes.origins[name] == "given")
+        yield f"{name} {size:.4g} {units.get(name, '')}".rstrip() + given
+
+
 def plant_rows(report: Applicability, name: str) -> Iterator[Row]:
-    """Yield what a plant is, what is odd of it, and the modes of each different cell."""
-    plant, form, alike = report.plant, report.form, dict[bytes, int]()
+    """Yield what a plant is, what is odd of it, and the modes of each different cell, without a controller."""
+    plant, form, alike = report.plant, report.form, dict[bytes, list[int]]()
     parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": plant.cell_names}
     orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
-    internal = "" if form is None else f", internal states {', '.join(form.eta_names) or 'none'}"
-    degree = "" if form is None else f"; relative degree {form.degrees_text}{internal}"
-    yield "plant", f"{orders}{degree} ({name})" if name else f"{orders}{degree}"
-    yield from (("warning", text) for text in plant_warnings(plant))
+    said = [orders, f"tracks {', '.join(plant.tracked_names)}, measures {', '.join(plant.outputs)}"]
+    if form is not None and report.zero_dynamics is not None:
+        stable = "stable in each cell" if (report.zero_dynamics.real < 0).all() else "NOT stable in each cell"
+        internal = f"internal states {', '.join(form.eta_names)}, {stable}" if form.eta_names else "no internal states"
+        said += [f"relative degree {form.degrees_text}", internal]
+    yield "plant", "; ".join([*said, name])
+    yield from (("question", text) for text in plant_questions(plant))
     for i, A in enumerate(plant.A):
-        alike.setdefault(A.tobytes(), i)
-    yield from (("open loop", f"{plant.cell_names[i]}: {mode_text(modes(plant.A[i]))}") for i in alike.values())
+        alike.setdefault(A.tobytes(), []).append(i)
+    for first, *others in alike.values():
+        like = f" (and {len(others)} like it)" * bool(others)
+        yield "open loop", f"{plant.cell_names[first]}{like}: {mode_text(modes(plant.A[first]))}"
 
 
 def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> str:
@@ -61,9 +73,8 @@ def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> st
         return "No controller can be designed as it stands: the error says why, and what helps"
     answers = dict(report.answers)
     first = report.open[0]
-    needs = answers[first]
-    said = f"A controller can be designed: {_EXACT.get(first.name, first.name)}, as far as is known until design "
-    said += f"solves the paper's {needs.reason}"
+    said = f"A controller can be designed: {_EXACT.get(first.name, first.name)}, unless 'design' finds no solution of "
+    said += f"the paper's {answers[first].reason}"
     if first.name in _EXACT:
         return said
     exact = why_not or next(answers[route].reason for route in answers if report.tracking in route.takes)
@@ -78,7 +89,7 @@ def mode_text(found: Sequence[Mode]) -> str:
         >>> mode_text(modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))), mode_text(modes(np.array([[0.0]])))
         ('2 rad/s damped 0.1 (τ 5 s)', 'integrates')
     """
-    return ", ".join(
+    return "; ".join(
         "integrates"
         if not mode.frequency
         else f"runs away (τ {-mode.time_constant:.3g} s)"

@@ -31,8 +31,10 @@ SIMULATED = (  # the figures that no proof decides
 
 def measures(result: SimulatedLoop) -> dict[str, Any]:
     """Return the figures of a simulation: numbers, or one for each of some signals by name."""
-    left_out = {*_BESIDE, *(name for name in RANGES if not getattr(result.figures, name))}
-    figures = {name: value for name, value in asdict(result.figures).items() if name not in left_out}
+    figures = {name: value for name, value in asdict(result.figures).items() if name not in _BESIDE}
+    for name in RANGES:  # of inputs the largest size is what is told
+        limited = {of: value for of, value in figures.pop(name).items() if of not in figures["largest_input"]}
+        figures |= {name: limited} if limited else {}
     if (steady := result.steady_state) is not None:
         largest = float(np.abs(steady.multipliers).max())
         figures |= zip(_OF_STEADY_STATE, (largest, steady.residual), strict=True)

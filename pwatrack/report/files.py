@@ -176,7 +176,8 @@ def _first(result: SimulatedLoop, checked: Sequence[Checked], many: EnsembleResu
 def _summary(run: RunFolder, index: dict[str, Any], assessment: Assessment | None, summary: str | None) -> None:
     """Add what is for people, where it is there: margins are of each cell by itself, in the plant's own order."""
     if assessment is not None:
-        index |= {"warnings": list(assessment.warnings), "margins": [margin_content(one) for one in assessment.margins]}
+        told = {"warnings": list(assessment.warnings), "questions": list(assessment.questions)}
+        index |= told | {"margins": [margin_content(one) for one in assessment.margins]}
     if summary is not None:
         run.text(SUMMARY, summary)
 

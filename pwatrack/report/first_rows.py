@@ -7,21 +7,37 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import degrees
 
-from pwatrack.arrays import number_text
+from pwatrack.arrays import amount, number_text
+from pwatrack.claims.limits import NoSaturation
+from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.registry import brief
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController, Row
-from pwatrack.report.figures import design_remarks, ensemble_measures, error_unit
+from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, error_unit, percent
 from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked
 from pwatrack.simulation.margins import worst
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow.bands import covered
 from pwatrack.workflow.cautions import Assessment
 from pwatrack.workflow.how_far import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
-_MEASURED = ("tracks", "within its bound", "off")  # ends of a run that its error says all of
+_ENDS = {  # how a run ended, and by which measure
+    "tracks": "tracks to 1 %",
+    "within its bound": "within its proved bound",
+    "off": "NOT to 1 % of reference and start",
+}
+_PARTS = {  # of what is not as the theorems assume
+    "limits": "limits",
+    "noise": "noise",
+    "disturbance": "disturbance",
+    "parameters": "other parameters",
+    "quanta": "steps",
+    "rates": "rate limits",
+}
+_EXPECTED = ("sampling", "limits", "noise")  # of the file of a machine
 
 
 def first_rows(
@@ -35,78 +51,103 @@ def first_rows(
     largest: LargestBox | None = None,
 ) -> Iterator[Row]:
     """Yield what the first screen says of a design or a run, if it has room."""
+    beyond = list(_beyond(spec, controller, assessment))
+    rows = [*_proved(spec, controller, assessment), *(("NOT proved", text) for text in beyond)]
+    whole = all(label != "NOT proved" for label, _ in rows)
+    yield "verdict", _verdict(spec, assessment, checked, result, many, whole=whole)
     yield from _came_out(checked, result, many)
     yield from (("warning", text) for text in assessment.warnings)
+    yield from (("question", text) for text in assessment.questions)
     remarks = design_remarks(spec, controller) if result is None else result.remarks
     yield from (("remark", text) for text in remarks)
-    yield from _proved(spec, controller)
+    yield from rows
     if largest is not None:
         yield "largest box", largest_text(largest)
-    yield from _assessed(spec, controller, assessment)
-    yield from _beyond(spec, controller, assessment)
     yield from _inputs(result)
+    yield from _margins(controller, assessment)
 
 
-def _proved(spec: Spec, controller: ProvedController) -> Iterator[Row]:
-    """Yield what is proved, and the gains, of the loop that runs; if it is sampled the rest is of one that is not."""
-    labels = {"sampled": "guarantee", "guarantee": "continuous"}
-    sampling, rows = spec.scenario.conditions.sampling, list(brief(spec.words, controller))
-    own = any(label == "K, M" for label, _ in rows)
-    for label, text in rows:
-        if not own or label != "K, L":
-            yield label if sampling is None else labels.get(label, label), text
+def _verdict(
+    spec: Spec,
+    assessment: Assessment,
+    checked: Sequence[Checked],
+    result: SimulatedLoop | None,
+    many: EnsembleResult | None,
+    *,
+    whole: bool,
+) -> str:
+    """Say in a few words whether this is for a machine: the worst that there is to say."""
+    if missed := sum(not each.met for each in checked):
+        return f"NOT READY: {missed} of {len(checked)} requirements missed"
+    if many is not None and many.failed:
+        return f"NOT READY: {len(many.failed):,} of {len(many.figures):,} members fail"
+    ended: str = "designed" if result is None else result.outcome.kind
+    if ended in ("grows", "above its bound"):
+        return f"NOT READY: {ended}"
+    if ended == "off" and any("final_error" in each.requirement.figure for each in checked):
+        ended = "as required"
+    odd = ((assessment.warnings, "warning"), (assessment.questions, "question"))
+    if heed := ", ".join(amount(len(texts), name) for texts, name in odd if texts):
+        return f"NOT READY: {heed}" if assessment.warnings else f"{ended}; {heed}"
+    absent = [name for name in _EXPECTED if getattr(spec.scenario.conditions, name) is None]
+    if absent:
+        return f"{ended}; " + ("an ideal model" if len(absent) == 3 else f"no {', no '.join(absent)} in the file")
+    return f"{ended}; {'proved as it runs' if whole else 'partly proved'}"
+
+
+def _proved(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
+    """Yield what is proved, and the gains, of the loop that runs; if that is not proved, of the ideal one."""
+    sampled = [claim.proof is not None for claim in controller.claims_of(SampledLoop)]
+    ideal, runs = "ideal loop", any(sampled)
+    for label, text in brief(spec.words, controller):
+        if not (runs and label == ideal) and not (sampled and label == "K, L"):
+            yield label, text
+    if assessment.acting or assessment.ends:
+        tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
+        bounds = ", ".join(spec.words.limits(tracked)) or "no bound is proved"
+        yield "as sampled" if runs else ideal, f"in the end {bounds} {assessment.condition}"
 
 
 def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: EnsembleResult | None) -> Iterator[Row]:
     """Yield what is missed, how the simulation went and with what, how an ensemble went, and what is met."""
     yield from (("missed", each.text) for each in checked if not each.met)
     if result is not None:
-        how, outcome, unit = ", ".join(_conditions(result)), result.outcome, error_unit(result.spec, result.controller)
-        said = f"error {result.figures.final_error:.3g} {unit}".rstrip()
-        said += f" in the last tenth, {result.figures.largest_error:.3g} at worst"
-        yield "simulated", f"{how}: {outcome.kind}, {said}" if outcome.kind in _MEASURED else f"{outcome.text} ({how})"
+        how, outcome = _conditions(result), result.outcome
+        late = number_text(0.9 * result.end, ".6g")
+        said = f"{_ENDS.get(outcome.kind)}, error at most {outcome.final} from {late} s on; {outcome.largest} before"
+        yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
         figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
         ends = ", ".join(f"{count:,} {kind}" for kind, count in figures["outcomes"].items())
         worst = f"{figures['final_error']['worst']:.2e} {unit}".rstrip()
         said = f"{figures['members']:,} members {many.variation.text}: {ends}; error at the end {worst} at worst"
         yield "ensemble", f"{said}, member {figures['final_error']['member']}"
-    if met := [each.short for each in checked if each.met]:
-        yield "required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}"
+    if met := [each for each in checked if each.met]:
+        here = " in this run" * any(each.requirement.figure in SIMULATED for each in met)
+        yield "required", f"{len(met)} of {len(checked)} met{here}; {'; '.join(each.short for each in met)}"
 
 
-def _conditions(result: SimulatedLoop) -> Iterator[str]:
-    """Yield what the loop that ran had, in a word or two each."""
+def _conditions(result: SimulatedLoop) -> str:
+    """Say what the loop that ran had, in a word or two each, and what it had not."""
     conditions = result.loop.conditions
-    yield f"{result.end:g} s"
+    had = [said for name, said in _PARTS.items() if getattr(conditions, name) is not None]
     if conditions.sampling is not None:
-        yield f"sampled every {number_text(conditions.sampling.sample_time)} s"
-    parts = {
-        "parameters": "other parameters",
-        "limits": "limits",
-        "disturbance": "disturbance",
-        "noise": "noise",
-        "quanta": "quantisation",
-        "rates": "rate limits",
-    }
-    yield from (said for name, said in parts.items() if getattr(conditions, name) is not None)
+        had.insert(0, f"sampled every {number_text(conditions.sampling.sample_time)} s")
+    return ", ".join([f"{result.end:g} s", *had]) if had else f"{result.end:g} s of the ideal loop"
 
 
-def _assessed(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
-    """Yield what is proved with what the file declares, and margins of each cell beside those of the proofs."""
-    words, margins = spec.words, worst(assessment.margins)
-    if assessment.acting or assessment.ends:
-        tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
-        bounds = ", ".join(words.limits(tracked)) or "no bound is proved"
-        yield "in the end", f"{bounds} {assessment.condition}"
-    _, of_K, _ = controller.guarantees.robust
+def _margins(controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
+    """Yield the margins of the worst cell by itself beside what the proof across cells leaves."""
+    margins, (_, of_K, _) = worst(assessment.margins), controller.guarantees.robust
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in margins.gain)
-        cells = f"gain × {low} to {high}, phase {degrees(margins.phase):.0f}°, delay {margins.delay:.2g} s"
-        yield "margins", f"any switching: K ± {100 * of_K:.2g} %; each cell alone: {cells}"
+        phase, delay = f"{degrees(margins.phase):.3g}", number_text(margins.delay, ".3g")
+        cells = f"phase {phase}°, delay {delay} s; gain × {low} to {high}"
+        across = f"; the proof across cells holds for K ± {100 * of_K:.2g} %" * bool(of_K)
+        yield "margins", f"each cell alone: {cells}{across}"
 
 
-def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
+def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[str]:
     """Yield what no claim takes in of what is not as the theorems assume."""
     conditions, loads = spec.scenario.conditions, controller.plant.loads
     disturbance = conditions.disturbance
@@ -118,17 +159,28 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
         conditions = replace(conditions, noise=None, disturbance=None, quanta=quanta if steps else None)
     if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
+    if covered(spec.objectives.uncertain, conditions):
+        conditions = replace(conditions, plant=None, parameters=None)
+    limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
+    limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
+    if limited and replace(conditions, limits=None).nominal and spec.scenario.conditions.sampling is None:
+        return
     if said := conditions.texts(controller.plant):
-        yield "NOT proved", f"for {'; '.join(said)}"
+        yield f"for {'; '.join(said)}"
     if controller.trajectory.growth is not None:
-        yield "NOT proved", "that x_d is bounded and what was asked for: it is not"
+        yield "that x_d is bounded and what was asked for: it is not"
 
 
 def _inputs(result: SimulatedLoop | None) -> Iterator[Row]:
-    """Yield the largest inputs beside their limits."""
+    """Yield between which values each input was, its limits, and how long it was at one."""
     if result is None:
         return
-    limits, units = result.loop.conditions.limits, result.spec.problem.units
-    for k, (name, size) in enumerate(result.figures.largest_input.items()):
-        of = "" if limits is None else f" within {number_text(limits[k, 0], 'g')} to {number_text(limits[k, 1], 'g')}"
-        yield "input", f"|{name}| up to {size:.4g}{of} {units.get(name, '')}".rstrip()
+    limits, units, figures = result.loop.conditions.limits, result.spec.problem.units, result.figures
+    for k, name in enumerate(figures.largest_input):
+        low, high = (number_text(ends[name], ".4g") for ends in (figures.lowest, figures.highest))
+        of = "no limit in the file"
+        if limits is not None and name in result.at_limits:
+            share = result.at_limits[name]
+            ends = " and ".join(number_text(v, "g") for v in limits[k].tolist() if abs(v) < float("inf"))
+            of = f"limits {ends}, " + (f"at one {percent(share)} of the time" if share else "never at one")
+        yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f" ({of})"

@@ -13,37 +13,39 @@ from pwatrack.report.terminal import visible
 LINES, COLUMNS = 10, 80  # of the first screen
 _LABEL = 12  # columns of what a row is about
 _ORDER = {  # what comes first; the number says what gives way to what: the largest first
+    "verdict": 0,  # which stands in the title
     "missed": 0,
     "simulated": 0,
     "plant": 1,
     "warning": 2,
+    "question": 2,
     "remark": 8,
     "ensemble": 1,
     "required": 4,  # that all is met; what is not stands under "missed"
-    "guarantee": 1,
-    "in the end": 5,
-    "continuous": 6,
+    "as sampled": 1,
+    "ideal loop": 1,
     "largest box": 1,
     "NOT proved": 3,
     "input": 4,
-    "margins": 7,
-    "K, L": 3,
-    "K, M": 3,
+    "margins": 6,
+    "K, L": 7,
+    "K, M": 7,
     "open loop": 4,
     "reference": 2,
     "sizes": 5,
     "files": 0,
 }
-_EACH = ("missed", "warning", "remark", "open loop")  # a row for each; of other labels all is one sentence
-_WHOLE = ("missed", "simulated", "warning")  # the first two of these have two lines before lesser rows begin
+_EACH = ("missed", "warning", "question", "remark", "open loop")  # a row for each; of other labels all is one sentence
+_WHOLE = ("missed", "simulated", "warning", "question", "as sampled")  # the first two of each have two lines first
 _WEIGHTY = 3  # what weighs so much has a line before anything has two: also what is NOT proved
 _FIRST = 3  # of a label: more give way to the rest
 
 
 def screen(name: str, rows: Iterable[Row], folder: Path | None = None) -> list[str]:
     """Return the lines of the first screen: the title, and at most nine more of what there is to say."""
-    title = textwrap.shorten(visible(name), COLUMNS, placeholder=" …")
-    return [title, *fitted(joined([*rows, *_files(folder)]), LINES - 1)]
+    (_, verdict), *others = joined([*rows, *_files(folder)])
+    room = COLUMNS - len(f": {verdict}")
+    return [f"{textwrap.shorten(visible(name), room, placeholder=' …')}: {verdict}", *fitted(others, LINES - 1)]
 
 
 def print_screen(console: Console, lines: Iterable[str]) -> None:
@@ -91,7 +93,15 @@ def fitted(rows: Sequence[Row], most: int) -> list[str]:
 
 
 def _wrapped(row: Row, lines: int) -> list[str]:
+    """Return a row in so many lines at most: of what has no room whole parts are left out, if the first one has."""
     label, text = row
+    parts = text.split("; ")
+    shorter = ["; ".join(parts[:count]) + "; …" for count in range(len(parts) - 1, 0, -1)]
+    fits = (said for said in (text, *shorter) if len(_lines(label, said, None)) <= lines)
+    return _lines(label, next(fits, text), lines)
+
+
+def _lines(label: str, text: str, lines: int | None) -> list[str]:
     return textwrap.wrap(
         text,
         COLUMNS,
@@ -107,7 +117,7 @@ def _files(folder: Path | None) -> Iterator[Row]:
     """Yield where the files are, and which files of the user's were kept."""
     if folder is None:
         return
-    count = len((read_index(folder) or {"files": ()})["files"]) + 1
-    yield "files", f"--verbose and {SUMMARY} say all; {count} files in {folder!s}"
+    count = len((read_index(folder) or {"files": ()})["files"])
+    yield "files", f"{folder / SUMMARY!s} says all; {count} more files"
     if kept := kept_files(folder):
         yield "files", f"kept, as no run had left them so: {', '.join(kept)}"

@@ -68,7 +68,9 @@ def _outcome_rows(table: Table, checked: Sequence[Checked], assessment: Assessme
     _add(table, (("missed", each.text) for each in checked if not each.met))
     if simulated:
         table.add_row("simulated", simulated)
-    _add(table, (("warning", text) for text in (() if assessment is None else assessment.warnings)))
+    if assessment is not None:
+        _add(table, (("warning", text) for text in assessment.warnings))
+        _add(table, (("question", text) for text in assessment.questions))
     if met := [each.text for each in checked if each.met]:
         table.add_row("required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}")
 

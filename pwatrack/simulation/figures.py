@@ -19,7 +19,7 @@ from pwatrack.simulation.trace import Trace, last_tenth
 _STILL = 1e-9  # of the size of a signal: by less it does not move
 _BAND = 0.02  # of what an output has to go, or of the amplitude of its reference
 _RISES = 0.1, 0.9  # of the way
-_RANGE = "range"  # of what has limits
+_RANGES = "inputs", "limited"  # of what it is told how low and how high it gets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,8 @@ class Figures:
     # the reference comes to rest, and h is not 0.
     rise_time: Mapping[str, float]
     overshoot: Mapping[str, float]  # how far each output goes beyond y_∞, as a share of |h|. Likewise.
-    lowest: Mapping[str, float] = field(default_factory=dict)  # how low and how high what has limits gets, by name
+    # how low and how high each input, and what has limits, gets, by name
+    lowest: Mapping[str, float] = field(default_factory=dict)
     highest: Mapping[str, float] = field(default_factory=dict)
     # the share of the time that each part of the loop is in each of the cells that it comes to: of the plant, of the
     # observer, … by name. From event to event, so exact where no mode change is in doubt.
@@ -172,8 +173,8 @@ class Measuring:
     """Measures a run of so many samples block by block.
 
     An output counts as settled within the band of its name, in its unit, where that is given. States are named where
-    they follow x_d; of what has limits it is told how low and how high it gets. Without the loop that runs no more is
-    known of sizes than the samples show.
+    they follow x_d; of inputs and of what has limits it is told how low and how high they get. Without the loop that
+    runs no more is known of sizes than the samples show.
     """
 
     samples: int
@@ -190,7 +191,7 @@ class Measuring:
     _last_tenth: float = 0.0  # when it began
     _visited: set[Mode] = field(default_factory=set)
     _within: dict[str, Enclosing] = field(default_factory=dict)  # at all times
-    _range: Array = field(default_factory=lambda: np.zeros((2, 0)))  # at the samples, of what has limits
+    _range: Array = field(default_factory=lambda: np.zeros((2, 0)))  # at the samples, of inputs and what has limits
     _until: float | None = None  # how long each part was in which cell is known up to there, in s
     _stays: dict[tuple[int, int], float] = field(default_factory=dict)  # part, cell: s
 
@@ -204,12 +205,12 @@ class Measuring:
             each = self.loop.signal_errors
             for name in ("final_errors", "largest_errors") if len(each) > 1 else ():
                 self._within[name] = Enclosing(lambda _: each, turns=turns)
-            self._within["largest_input"] = Enclosing(self.loop.inputs, turns=turns)
+            self._within["inputs"] = Enclosing(self.loop.inputs, turns=turns)
             if self.limited:
                 x = np.eye(self.loop.at.order)[self.loop.at.x]
                 rows = state_rows(self.loop.plant, self.limited.values()) @ x
-                self._within[_RANGE] = Enclosing(lambda _: rows, turns=turns)
-        self._range = np.full((2, len(self.limited)), [[np.inf], [-np.inf]])
+                self._within["limited"] = Enclosing(lambda _: rows, turns=turns)
+        self._range = np.full((2, len(self.inputs) + len(self.limited)), [[np.inf], [-np.inf]])
 
     def see(self, block: Response) -> None:
         """Take the next samples into account."""
@@ -224,13 +225,12 @@ class Measuring:
             "largest_error": size.max(keepdims=True),
             "final_errors": each[late].max(axis=0, initial=0.0),
             "largest_errors": each.max(axis=0),
-            "largest_input": np.abs(block.u).max(axis=0),
         }
         self._sizes = {name: np.maximum(self._sizes.get(name, 0.0), most) for name, most in seen.items()}
         of = {"output": block.tracked, "measured": block.y, "state": block.x}
-        for j, (kind, k) in enumerate(self.limited.values()):
-            values = of[kind][:, k]
-            self._range[:, j] = min(self._range[0, j], values.min()), max(self._range[1, j], values.max())
+        ranged = np.column_stack([block.u, *(of[kind][:, k] for kind, k in self.limited.values())])
+        self._range[0] = np.minimum(self._range[0], ranged.min(axis=0))
+        self._range[1] = np.maximum(self._range[1], ranged.max(axis=0))
         self._observer = float(block.observer_error[-1])
         self._changes += len(block.trace.events)
         self._visited |= block.trace.visited()
@@ -277,18 +277,20 @@ class Measuring:
         for block in blocks:
             for k, move in enumerate(self._moves):
                 move.follow(block.t, block.tracked[:, k], block.tracked_d[:, k])
-        known = self._enclosed()
+        known, between = self._enclosed(), self._between()
         sizes = {name: np.maximum(size, known.get(name, 0.0)).tolist() for name, size in self._sizes.items()}
-        signals, between = (*self.outputs, *self.states), self._between()
-        ends = zip(("lowest", "highest"), (self._range if between is None else between).tolist(), strict=True)
-        ranges = {name: dict(zip(self.limited, values, strict=True)) for name, values in ends}
+        signals, ranged = (*self.outputs, *self.states), (*self.inputs, *self.limited)
+        low, high = self._range if between is None else between
+        ranges = {
+            name: dict(zip(ranged, ends.tolist(), strict=True)) for name, ends in (("lowest", low), ("highest", high))
+        }
         return Figures(
             final_error=sizes["final_error"][0],
             largest_error=sizes["largest_error"][0],
             final_errors=dict(zip(signals, sizes["final_errors"], strict=True)),
             largest_errors=dict(zip(signals, sizes["largest_errors"], strict=True)),
             final_observer_error=self._observer,
-            largest_input=dict(zip(self.inputs, sizes["largest_input"], strict=True)),
+            largest_input=dict(zip(self.inputs, np.maximum(-low, high).tolist(), strict=False)),
             mode_changes=self._changes,
             joint_modes=len(self._visited),
             settling_time={name: move.settled - move.start for name, move in moves.items()},
@@ -300,20 +302,23 @@ class Measuring:
             overshoot={name: move.overshoot for name, move in moves.items() if move.distance},
             **ranges,
             time_share=self._shares(),
-            sampled=(*(name for name in sizes if name not in known), *(ranges if between is None else ())),
+            sampled=(
+                *(name for name in sizes if name not in known),
+                *(("largest_input", *(ranges if self.limited else ())) if between is None else ()),
+            ),
         )
 
     def _between(self) -> Array | None:
-        """Return how low and how high what has limits gets at all times, (2, q); None where that is not known."""
-        if _RANGE not in self._within:
-            return None if self.limited else self._range
-        found = self._within[_RANGE].range()
-        both = np.array([found.low, found.high])
-        return both if np.isfinite(both).all() else None
+        """Return how low and high inputs and what has limits get at all times, (2, q); None if that is not known."""
+        found = [self._within[name].range() for name in _RANGES if name in self._within]
+        if not found or not np.isfinite([end for one in found for end in (*one.low, *one.high)]).all():
+            return None
+        low, high = np.concatenate([one.low for one in found]), np.concatenate([one.high for one in found])
+        return np.array([np.minimum(low, self._range[0]), np.maximum(high, self._range[1])])
 
     def _enclosed(self) -> _Sizes:
         """Return which sizes are no larger between samples than what; those of which that is not known are left out."""
-        ranges = {name: within.range() for name, within in self._within.items() if name != _RANGE}
+        ranges = {name: within.range() for name, within in self._within.items() if name not in _RANGES}
         for name in ("final_error", "largest_error") if ranges else ():
             ranges.setdefault(f"{name}s", ranges[name])  # of a single entry
         sizes = {name: np.maximum(found.high, -found.low) for name, found in ranges.items()}

@@ -36,7 +36,7 @@ def unstable_cell(controller: ProvedController, conditions: Conditions) -> "tupl
     longest = maps.longest(sampling.sample_time)  # none: however short, it is unstable; that is seen when it runs
     message = (
         f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell "
-        f"'{controller.plant.cell_names[cell]}': as long as it stays there, one sample multiplies what is off by "
+        f"'{controller.plant.cell_names[cell]}': as long as it stays there, one sample multiplies an error by "
         f"{radius:.4g} in the long run"
     )
     return None if longest is None else (message, maps, longest)

@@ -1,11 +1,12 @@
 """What an engineer would be warned of before this design goes to its machine: each with its figure, and a way out.
 
-It changes no verdict. What is proved says so; margins and modes are of each cell by itself, in floating point. What is
-odd of a plant by itself, elements that give energy, modes that run away or are not damped, is said before any design.
+It changes no proof. What is proved says so; margins and modes are of each cell by itself, in floating point. What is
+odd of a plant by itself, elements that give energy, modes that run away or are not damped, is asked before any design:
+only who knows the machine can say whether the file is right.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,9 +30,17 @@ from pwatrack.workflow.sizing import reference_sizes
 _HALF = 0.5  # of the reference: an error of this size is no tracking
 _SINGLE = 2.0**-24  # of a number: what storing it in single precision may change
 _NEAR = 0.05  # of the range of an input: what rests nearer to a limit has no room there
+_SHORT = 1e-3  # of a sample time: no machine samples so much faster
 _TENTH = 0.1  # of the sampling frequency: what a loop is usually slower than
 _LITTLE_PHASE = np.pi / 6  # rad: half of what is usually asked for
 _UNDAMPED = 1e-3  # damping of a mode: real machines have more
+_CHANGES = (  # of a gain, and what has it designed so
+    ("K", 0.5, "lower 'sizes' of inputs"),
+    ("K", 2.0, "raise 'sizes' of inputs"),
+    ("L", 0.5, "raise 'sizes' of outputs"),
+    ("L", 2.0, "lower 'sizes' of outputs"),
+)
+_WORTH = 1.2  # times as much margin is worth a word
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +51,10 @@ class Assessment:
         acting: How large noises and disturbances count.
         ends: The most that each signal is in the end under these: in the sampled loop where that is proved, else in the
             loop as designed. Nothing where none acts.
-        condition: Of which loop and for what, in words.
+        condition: For what, in words.
         margins: Of each cell by itself; none where to look for them would take long.
         warnings: In the order of their weight.
+        questions: What is odd of the plant, and may be right.
     """
 
     acting: Mapping[Channel, float]
@@ -52,6 +62,7 @@ class Assessment:
     condition: str
     margins: Sequence[Margins]
     warnings: tuple[str, ...]
+    questions: tuple[str, ...]
 
 
 def assessed(spec: Spec, controller: ProvedController) -> Assessment:
@@ -66,22 +77,42 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     """
     acting, claims = declared(spec, controller), controller.claims_of(SignalBounds)
     ends = claims[0].under(controller, acting) if acting and claims else {}
-    condition = f"as designed, while {acting_text(spec.words, acting)}"
-    for sampled in (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds)):
-        if sampled:
-            ends, condition = sampled, "as sampled, with all that acts in this run"
+    condition = f"while {acting_text(spec.words, acting)}"
+    for sampled in filter(None, (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))):
+        ends, condition = sampled, "under noise, steps and disturbances of this run"
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
         *_disturbed(spec, controller, acting, ends),
-        *plant_warnings(spec.problem.plant),
         *_near_limits(spec, controller),
         *_sampling(spec, controller, margins),
+        *_little_phase(controller, margins),
     ]
-    if margins is not None and margins.phase < _LITTLE_PHASE:
-        where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
-        warnings.append(f"phase margin {np.degrees(margins.phase):.2g}° {where}: ask for a slower K, or a faster L")
-    return Assessment(acting=acting, ends=ends, condition=condition, margins=every, warnings=tuple(warnings))
+    return Assessment(
+        acting=acting,
+        ends=ends,
+        condition=condition,
+        margins=every,
+        warnings=tuple(warnings),
+        questions=tuple(plant_questions(spec.problem.plant)),
+    )
+
+
+def _little_phase(controller: ProvedController, margins: Margins | None) -> Iterator[str]:
+    """Yield that a cell has little phase margin, and which change of K or L by itself would give most of it."""
+    if margins is None or margins.phase >= _LITTLE_PHASE:
+        return
+    design, found = controller.design, list[tuple[float, str]]()
+    for letter, factor, sizes in _CHANGES:
+        changed = replace(design, **{letter: factor * getattr(design, letter)})
+        other = worst(loop_margins(replace(controller, design=changed)))
+        if other is not None:
+            found.append((other.phase, f"{letter} × {factor:g} would have {np.degrees(other.phase):.2g}°: {sizes}"))
+    most, better = max(found, default=(0.0, ""))
+    if most < _WORTH * margins.phase:
+        better = "K and L × 0.5 or 2 change little: add a sensor or an actuator"
+    where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
+    yield f"phase margin {np.degrees(margins.phase):.3g}°, delay {margins.delay:.2g} s, {where}; {better}"
 
 
 def _disturbed(
@@ -89,6 +120,7 @@ def _disturbed(
 ) -> Iterator[str]:
     """Yield where what is proved under noise and disturbances of the file is more than is required, or half of y_d."""
     references = reference_sizes(spec, controller)
+    kinds = " and ".join(sorted({kind for kind, _ in acting}, reverse=True))
     for k, name in enumerate(controller.error_names):
         bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
         limits = [
@@ -100,15 +132,16 @@ def _disturbed(
         most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
         if bound is not None and bound > most > 0:
             yield (
-                f"{sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
-                + f" is all that is proved for what acts, {bound / most:.3g} × {most:.3g} {unit}".rstrip()
-                + f" ({what}): {_calmer(acting)}"
+                f"all that is proved under {kinds}: {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                + f"; {what} {most:.3g} {unit}".rstrip()
+                + f"; {_calmer(kinds)}"
             )
 
 
-def _calmer(acting: Mapping[Channel, float]) -> str:
-    kinds = {kind for kind, _ in acting}
-    return "slow the observer down" if "noise" in kinds else "ask for a faster K, or estimate the load"
+def _calmer(kinds: str) -> str:
+    if "noise" in kinds:
+        return "raise 'sizes' of outputs: a calmer observer"
+    return "raise 'sizes' of inputs: a faster K; or 'estimate' the load"
 
 
 def acting_text(words: Words, acting: Mapping[Channel, float]) -> str:
@@ -140,10 +173,11 @@ def _near_limits(spec: Spec, controller: ProvedController) -> Iterator[str]:
             lower, upper = float(room.lasting.low[k]), float(room.lasting.high[k])
             left, rests, limit = min((lower - low, lower, low), (high - upper, upper, high))
             if left < _NEAR * span:
+                way, side = ("down", "lower") if limit == low else ("up", "upper")
+                rest, end = (number_text(round(v / span, 6) * span, ".4g") for v in (rests, limit))
                 yield (
-                    f"{name} comes to {number_text(round(rests / span, 6) * span, '.4g')} {unit}".rstrip()
-                    + f" by its feedforward alone, its limit is {number_text(limit, '.4g')}: "
-                    f"{100 * max(left, 0.0) / span:.1f} % of its range is left; let reference or limit leave more"
+                    f"the feedforward of {name} goes {way} to {rest} {unit}".rstrip() + f", its {side} limit is {end}: "
+                    f"{100 * max(left, 0.0) / span:.1f} % of its range is left; move reference or limit"
                 )
             if room.peak is not None and (beyond := [s for i, s in room.peak.beyond(room.limits) if i == k]):
                 first = float((room.peak.low[k], room.peak.high[k])[beyond[0]])
@@ -162,39 +196,38 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
         if quadratic and share < _SINGLE and getattr(controller, letter).any():
             yield (
                 f"{letter} may change by {100 * share:.2g} % only, and single precision changes it by "
-                f"{100 * _SINGLE:.1g} %: ask for a slower rate, or give sizes"
+                f"{100 * _SINGLE:.1g} %: a smaller rate, or 'sizes', helps"
             )
     if sampling is None or any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
         return
     h, K = sampling.sample_time, controller.K
     made = sampled_gains(controller.plant, K, controller.L, sampling).K
     change = float(np.abs(made - K).max() / np.abs(K).max()) if K.any() and np.isfinite(made).all() else 0.0
+    fast, late = (0.0, 0.0) if margins is None else (margins.crossover * h, (0.5 + sampling.delay) * h)
+    found = list[tuple[float, str]]()  # the time (s) that would do, and why this one is too long
     if quadratic and change > of_gains["K"]:
-        yield (
-            f"sampled every {number_text(h)} s K acts as if changed by {100 * change:.2g} %, proved for "
-            f"{100 * of_gains['K']:.2g} %: sample every {h * of_gains['K'] / change:.1g} s, or ask for a slower K"
-        )
-    if margins is None:
-        return
-    if margins.crossover * h > _TENTH * 2 * np.pi:
-        yield (
-            f"bandwidth {margins.crossover:.3g} rad/s, sampling {2 * np.pi / h:.3g} rad/s: sample every "
-            f"{_TENTH * 2 * np.pi / margins.crossover:.1g} s, or ask for a slower rate"
-        )
-    elif margins.delay < (late := (0.5 + sampling.delay) * h):
-        yield (
-            f"sampling every {number_text(h)} s is late by {late:.2g} s, and {margins.delay:.2g} s is the delay margin "
-            f"in cell '{controller.plant.cell_names[margins.cell]}': sample faster"
-        )
+        said = f"K acts as if changed by {100 * change:.2g} %, proved for {100 * of_gains['K']:.2g} %"
+        found.append((h * of_gains["K"] / change, said))
+    if margins is not None and fast > _TENTH * 2 * np.pi:
+        said = f"bandwidth {margins.crossover:.3g} rad/s, sampling {2 * np.pi / h:.3g} rad/s"
+        found.append((_TENTH * 2 * np.pi / margins.crossover, said))
+    if margins is not None and margins.delay < late:
+        where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
+        said = f"late by {late:.2g} s, and {margins.delay:.2g} s is the delay margin {where}"
+        found.append((h * margins.delay / late, said))
+    if found:
+        short, said = min(found)
+        way = f"sample every {short:.1g} s" if short > _SHORT * h else "no sample time helps"
+        yield f"every {number_text(h)} s is slow: {said}; {way}, or lower 'sizes' of inputs: a slower K"
 
 
-def plant_warnings(plant: PWASystem) -> list[str]:
+def plant_questions(plant: PWASystem) -> list[str]:
     """Say which elements give energy, and which modes of a plant run away or are not damped.
 
     Example: no cell of the paper's example does.
 
         >>> from pwatrack import load_spec
-        >>> plant_warnings(load_spec("specs/two_mass_backlash.yaml").problem.plant)
+        >>> plant_questions(load_spec("specs/two_mass_backlash.yaml").problem.plant)
         []
     """
     found = [(mode, name) for A, name in zip(plant.A, plant.cell_names, strict=True) for mode in modes(A)]
@@ -211,15 +244,15 @@ def plant_warnings(plant: PWASystem) -> list[str]:
         mode, name = max(away, key=lambda one: -1 / one[0].time_constant)
         cells = f"{len({name for _, name in away})} of {len(plant.A)} cells"
         said.append(
-            f"the plant runs away in {cells}, time constant {-mode.time_constant:.3g} s: right for a pendulum, wrong "
-            f"for a spring (fastest in '{name}')"
+            f"the plant alone runs away in {cells}, time constant {-mode.time_constant:.3g} s; right for a pendulum, "
+            f"wrong for a spring; fastest in '{name}'"
         )
     still = [(mode, name) for mode, name in found if mode.frequency and 0 <= mode.damping < _UNDAMPED]
     if still:
         mode, name = min(still, key=lambda one: one[0].damping)
         said.append(
-            f"a mode at {mode.frequency:.3g} rad/s has damping {mode.damping:.2g}: the file leaves it out, or give it "
-            f"some (in '{name}')"
+            f"a mode at {mode.frequency:.3g} rad/s has damping {mode.damping:.2g}; if the machine has more, write it; "
+            f"in '{name}'"
         )
     return said
 

@@ -164,7 +164,7 @@ def sampling_known(spec: Spec) -> tuple[str, ...]:
     if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
         with suppress(PwatrackError):  # `design` says what
             return sampling_remarks(design(spec, growing=True), spec.scenario.conditions)
-    return (f"sampling every {sampling.sample_time:g} s: design looks at it, with its gains",)
+    return (f"sampling every {sampling.sample_time:g} s is not judged here: 'design' does, with its gains",)
 
 
 def simulate(

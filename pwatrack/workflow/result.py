@@ -9,6 +9,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import ProvedController
+from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.propagate import sample_count
@@ -89,6 +90,17 @@ class SimulatedLoop:
             samples = sample_count(self.spec.scenario.duration, self.spec.scenario.sample_time)
             w = so_far(w, r.t, samples, self.spec.scenario.sample_time)
         return bands(self.loop, r, self.spec.objectives.uncertain, w)
+
+    @property
+    def at_limits(self) -> dict[str, float]:
+        """The share of the time that each input with limits was at one of them, by name."""
+        shares, found = self.figures.time_share, dict[str, float]()
+        for part in self.loop.flow.parts:
+            if isinstance(part, Actuator):
+                held = {cell for cell, level in zip(part.cells, part.levels, strict=True) if level is not None}
+                time = shares.get(part.name, {}).items()
+                found[self.loop.plant.inputs[part.input]] = sum(share for cell, share in time if cell in held)
+        return found
 
     @property
     def end(self) -> float:
