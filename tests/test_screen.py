@@ -76,7 +76,13 @@ def test_rows_that_have_no_room_give_way_in_the_order_of_their_weight() -> None:
         assert small(lines)
     assert [line.split()[0] for line in fitted(rows, 2)] == ["simulated", "files"]
     labels = [line[:12].strip() for line in fitted(rows, 5)]
-    assert labels == ["simulated", "", "ideal loop", "margins", "files"]  # that the run went well, or not, has two lines
+    assert labels == [
+        "simulated",
+        "",
+        "ideal loop",
+        "margins",
+        "files",
+    ]  # that the run went well, or not, has two lines
 
 
 def test_what_is_declared_times_its_bound_is_what_is_said_in_the_end(tmp_path: Path) -> None:
@@ -98,7 +104,7 @@ def test_where_the_sampled_loop_is_bounded_that_is_what_is_said_in_the_end(tmp_p
     assert declared(spec, made)["noise", 0] == pytest.approx(0.0605)  # and half a step
     said = assessed(spec, made)
     assert said.ends == made.claim(SampledBounds).ends_below(made)
-    assert said.condition == "under noise, steps and disturbances of this run"  # not with other parameters, or limits
+    assert said.condition == "under noise, steps, disturbance"  # not with other parameters, or limits
 
 
 def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_warned_of(tmp_path: Path) -> None:

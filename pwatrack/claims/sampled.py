@@ -151,7 +151,7 @@ class SampledLoop(Claim):
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
             every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
-            said = f"proved off the limits, every {every} s: errors decay, time constant {constant} s"
+            said = f"proved off the limits, every {every} s: time constant {constant} s"
             yield "as sampled", said
         yield "K, M", in_a_line(words, self.gains.K, "M", self.gains.M, "K and M are in run.json, under sampled")
 

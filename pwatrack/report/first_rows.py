@@ -12,6 +12,7 @@ from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.registry import brief
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import ProvedController, Row
 from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, error_unit, percent
 from pwatrack.report.parameters import largest_text
@@ -27,7 +28,7 @@ from pwatrack.workflow.variation import EnsembleResult
 _ENDS = {  # how a run ended, and by which measure
     "tracks": "tracks to 1 %",
     "within its bound": "within its proved bound",
-    "off": "NOT to 1 % of reference and start",
+    "off": "off by more than 1 %",
 }
 _PARTS = {  # of what is not as the theorems assume
     "limits": "limits",
@@ -105,7 +106,7 @@ def _proved(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if assessment.acting or assessment.ends:
         tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
         bounds = ", ".join(spec.words.limits(tracked)) or "no bound is proved"
-        yield "as sampled" if runs else ideal, f"in the end {bounds} {assessment.condition}"
+        yield "as sampled" if runs else ideal, f"{assessment.condition} in the end {bounds}".lstrip()
 
 
 def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: EnsembleResult | None) -> Iterator[Row]:
@@ -114,7 +115,7 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
     if result is not None:
         how, outcome = _conditions(result), result.outcome
         late = number_text(0.9 * result.end, ".6g")
-        said = f"{_ENDS.get(outcome.kind)}, error at most {outcome.final} from {late} s on; {outcome.largest} before"
+        said = f"{_ENDS.get(outcome.kind)}, error ≤ {outcome.final} from {late} s on; {outcome.largest} before"
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
         figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
@@ -131,9 +132,8 @@ def _conditions(result: SimulatedLoop) -> str:
     """Say what the loop that ran had, in a word or two each, and what it had not."""
     conditions = result.loop.conditions
     had = [said for name, said in _PARTS.items() if getattr(conditions, name) is not None]
-    if conditions.sampling is not None:
-        had.insert(0, f"sampled every {number_text(conditions.sampling.sample_time)} s")
-    return ", ".join([f"{result.end:g} s", *had]) if had else f"{result.end:g} s of the ideal loop"
+    had = ["sampled", *had] if conditions.sampling is not None else had or ["ideal loop"]
+    return ", ".join([f"{result.end:g} s", *had])
 
 
 def _margins(controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
@@ -154,9 +154,9 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if loads is not None and disturbance is not None and loads.are(disturbance):
         conditions = replace(conditions, disturbance=None)
     if assessment.ends:
-        quanta = conditions.quanta
-        steps = quanta is not None and bool(quanta.inputs.any())
-        conditions = replace(conditions, noise=None, disturbance=None, quanta=quanta if steps else None)
+        taken = any(claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))
+        steps = conditions.quanta is not None and bool(conditions.quanta.inputs.any()) and not taken
+        conditions = replace(conditions, noise=None, disturbance=None, quanta=conditions.quanta if steps else None)
     if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
     if covered(spec.objectives.uncertain, conditions):

@@ -26,7 +26,7 @@ _ORDER = {  # what comes first; the number says what gives way to what: the larg
     "ideal loop": 1,
     "largest box": 1,
     "NOT proved": 3,
-    "input": 4,
+    "input": 3,
     "margins": 6,
     "K, L": 7,
     "K, M": 7,

@@ -79,7 +79,9 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     ends = claims[0].under(controller, acting) if acting and claims else {}
     condition = f"while {acting_text(spec.words, acting)}"
     for sampled in filter(None, (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))):
-        ends, condition = sampled, "under noise, steps and disturbances of this run"
+        acts = {"noise": "noise", "quanta": "steps", "disturbance": "disturbance"}
+        found = [said for name, said in acts.items() if getattr(spec.scenario.conditions, name) is not None]
+        ends, condition = sampled, f"under {', '.join(found)}" if found else ""
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
