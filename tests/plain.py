@@ -123,8 +123,9 @@ class Plain:
         """Set-points, of which w is made."""
         h, made, new["course"], new["past"] = self.real(self.program.sampling.sample_time), [], [], []
         parts = zip(self.pace, old["course"], old["past"], new["w"], strict=True)
-        for (_, *limits), (d, v, a, r), past, given in parts:
+        for k, ((_, *limits), (d, v, a, r), past, given) in enumerate(parts):
             zero = self.real(0.0)
+            given = self.ranged(k, given)
             now = (d + (given - r), v, a)
             d_end = self.pursued(now, zero, self.real(2.0**100), limits)[0][0]
             aim = limits[0] if d_end > 0 else -limits[0] if d_end < 0 else zero
@@ -148,9 +149,14 @@ class Plain:
                 later.append([tuple(row), *window[:-1]])
                 row = self.mean(row, window)
             new["past"].append(later)
-            made.append([row[0], *(max(-m, min(v, m)) for v, m in zip(row[1:], limits, strict=False))])
+            made.append([self.ranged(k, row[0]), *(max(-m, min(v, m)) for v, m in zip(row[1:], limits, strict=False))])
             new["course"].append([*after, given])
         new["w"] = [value for values in zip(*made, strict=True) for value in values]
+
+    def ranged(self, k: int, value: Any) -> Any:
+        """A set-point, or what is made of it, within its range."""
+        low, high = map(self.real, self.program.set_range[k]) if len(self.program.set_range) else (-np.inf, np.inf)
+        return low if value < low else high if value > high else value
 
     def mean(self, row: Any, window: Any) -> Any:
         """The mean over a window, newest first, that ends with a row: it has one more derivative."""

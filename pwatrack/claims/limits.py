@@ -221,6 +221,7 @@ class NoSaturation(Claim):
         never = "no limit is ever reached" if self.room.ever else "no limit is reached in this run"
         for promise in self.promises:
             starts = promise.said(left, loads=loads)
+            starts += self.room.whatever_said(promise.starts)
             several = len(promise.inputs) > 1 and np.isfinite(promise.scale(left))
             binds = f"; {words.plant.inputs[promise.binds(left)]} binds" if several else ""
             yield f"in the loop as designed {never} from {starts}{binds}"

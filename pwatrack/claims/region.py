@@ -105,6 +105,7 @@ class LimitedRegion(Claim):
                 starts = f"every start{self._with_loads(words, controller, one)}"
             else:
                 starts = one.said(left, loads=controller.plant.loads is not None)
+            starts += self.room.whatever_said(one.starts)
             yield label, f"in the loop as designed {goes} from {starts}, with inputs at their limits too"
             label = ""
         cheaper = controller.design.cheaper

@@ -33,6 +33,7 @@ from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.headroom import room_within_limits
 from pwatrack.workflow.pipeline import asked_of
+from pwatrack.workflow.set_points import demand_of
 from pwatrack.workflow.simplified import merged_spec
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import desired_trajectory
@@ -45,6 +46,7 @@ _ALONE = [  # of run.json, what no proof decides: what was simulated or found on
 ]
 _PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}
+_WORDS |= {"set_points": "the intervals that set-points take are"}
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 
 
@@ -113,8 +115,9 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),
         sizes=spec_sizes(spec),
     )
-    room = room_within_limits(spec, trajectory, generator, controller.sizes)
-    return read(content, controller, asked_of(spec, room, controller))
+    taken = demand_of(spec, trajectory, generator, content)
+    room = room_within_limits(spec, trajectory, generator, controller.sizes, taken)
+    return read(content, controller, asked_of(spec, room, controller, taken))
 
 
 def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:

@@ -21,6 +21,7 @@ from pwatrack.control.headroom import Headroom, SignalRoom
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
+from pwatrack.control.set_points import Demand
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words
@@ -42,6 +43,7 @@ class Asked:
     words: Words  # what it is called, and the goals of its gains
     room: Headroom | None  # what the feedforward leaves of the limits of inputs, where there are some
     signals: SignalRoom | None  # what the reference leaves of those of outputs and states, where there are some
+    set_points: Demand | None  # what a reference made of set-points takes, where the program makes one
     box: Box  # parameters that are uncertain
     corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
     solver: Solver = "structured"  # who is asked for what is proved later

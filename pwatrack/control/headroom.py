@@ -6,7 +6,7 @@ With P ⪰ z zᵀ for all these errors z, the inequality of the decay and [ū_j�
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.bounds import Channel, Form
+from pwatrack.control.set_points import Demand
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
@@ -171,6 +172,7 @@ class Headroom:
         peak: The same from the start of the generator in this run too; None where it could not be followed.
         ever: Whether it is within that after the run too; else no more than the run is spoken of.
         starts: Errors with which a run may begin.
+        set_points: What any set-points take too, where the program makes a reference of these.
     """
 
     limits: Array
@@ -178,6 +180,7 @@ class Headroom:
     peak: Peak | None
     ever: bool = False
     starts: tuple[Starts, ...] = ()
+    set_points: Demand | None = None
 
     @property
     def inputs(self) -> tuple[int, ...]:
@@ -193,13 +196,33 @@ class Headroom:
     @property
     def spare(self) -> Array | None:
         """The same with 0 where the feedforward takes a whole limit; None where it takes more, or that is not known."""
-        return None if self.peak is None or self.peak.beyond(self.limits) else self.peak.left(self.limits)
+        peak = self._taken
+        return None if peak is None or peak.beyond(self.limits) else peak.left(self.limits)
+
+    @property
+    def whatever(self) -> bool:
+        """Whether what is left is left whatever the set-points are."""
+        demand = self.set_points
+        return demand is not None and not demand.missing and not demand.beyond(self.limits)
+
+    def whatever_said(self, starts: Starts) -> str:
+        """Say so of starts that are about no run: x_d of a run may begin otherwise than that of set-points."""
+        about = self.whatever and starts.kind in ("exact", "sizes", "every")
+        return ", and ever whatever the set-points" * about
+
+    @property
+    def _taken(self) -> Peak | None:
+        """What the reference takes, and set-points where these are known to leave something."""
+        if self.peak is None or self.set_points is None or not self.whatever:
+            return self.peak
+        return self.peak.with_also(replace(self.peak, low=self.set_points.low, high=self.set_points.high))
 
     @property
     def bearable(self) -> Array:
         """Between what constant loads at each input may be, (m, 2), so that the feedforward less them is in limits."""
-        assert self.peak is not None
-        ends = np.column_stack([self.peak.high - self.limits[:, 1], self.peak.low - self.limits[:, 0]])
+        peak = self._taken
+        assert peak is not None
+        ends = np.column_stack([peak.high - self.limits[:, 1], peak.low - self.limits[:, 0]])
         return np.clip(ends, [-np.inf, 0.0], [0.0, np.inf])
 
     def within(self, sizes: Array) -> InputConstraint | None:

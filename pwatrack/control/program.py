@@ -86,6 +86,7 @@ class SampledController:
         reference: Names of the entries of w, where it is given.
         pace: Of each output whose set-points are given, and not w: where it starts, and the limits of its speed,
             acceleration, jerk and what is beyond, up to the relative degree, (outputs, 4 … 6); (0, 4) where w is given.
+        set_range: What each set-point may be, (outputs, 2): one beyond counts as its end; infinite for any.
     """
 
     sampling: Sampling
@@ -108,6 +109,7 @@ class SampledController:
     follows: Follows | None
     reference: tuple[str, ...] = ()
     pace: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    set_range: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def windows(self) -> IntArray:
@@ -203,6 +205,7 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
         follows=None if given else _follows(trajectory.exosystem, sampling),
         reference=names,
         pace=_pace(controller, conditions) if given else np.zeros((0, 4)),
+        set_range=np.zeros((0, 2)) if conditions.set_range is None or not given else conditions.set_range,
     )
     _check_windows(found)
     if not all(np.isfinite(table).all() for table in (found.observer, found.generator, found.u_ff, found.K, found.M)):
@@ -343,7 +346,13 @@ def _pace(controller: ProvedController, conditions: Conditions) -> Array:
         raise InvalidSpec(
             Problem(message=f"limits of {names} are needed, for a relative degree of {degree}", subject=subject)
         )
-    return np.hstack([system.derivative_rows(0)[0] @ system.w0[:, None], conditions.pace])
+    start = system.derivative_rows(0)[0] @ system.w0
+    if conditions.set_range is not None:
+        for name, at, (low, high) in zip(controller.plant.tracked_names, start, conditions.set_range, strict=True):
+            if not low <= at <= high:
+                text = f"{name} starts at {at:.6g}, where its reference does, and its range is {low:g} to {high:g}"
+                raise InvalidSpec(Problem(message=text, subject=subject))
+    return np.hstack([start[:, None], conditions.pace])
 
 
 def _check_windows(found: SampledController) -> None:

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pwatrack.control.sampled_gains import MOST_SUBSTEPS
 from pwatrack.model.conditions import Method, Sampling
 
-FORMAT = "pwatrack controller 6"
+FORMAT = "pwatrack controller 7"
 
 
 def _visible(text: str) -> str:
@@ -21,6 +21,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = list[Finite]
 Matrix = list[Vector]
 Stack = list[Matrix]
+Ends = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(pattern="^[A-Za-z_][A-Za-z0-9_]*$")]
 Names = list[Name]
@@ -146,11 +147,14 @@ class Outside(Followed):
     """One whose reference is given at each tick: the names of its entries.
 
     With a `pace`, set-points are given of the first ones, and it makes the others: where each starts, and the limits
-    of its speed, acceleration and jerk.
+    of its speed, acceleration and jerk. `range` is what each may be, null for any; `takes` between what any that keep
+    these limits take each input, as far as that is proved.
     """
 
     reference: Texts
     pace: Matrix
+    range: list[Ends | None]
+    takes: list[Ends]
 
     @property
     def given(self) -> Texts:
@@ -204,7 +208,7 @@ class ControllerFile(StoredPart):
     `failed` says what its run did not achieve, in an export too; [] where it did all, or there was no run.
     """
 
-    format: Literal["pwatrack controller 6"]
+    format: Literal["pwatrack controller 7"]
     sha256: Digest
     name: Text
     spec_sha256: Digest

@@ -26,9 +26,10 @@ PRODUCT = "product"  # every product of floats is assigned to it before it is ad
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
 _ORDER = """
 H h observer C M generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
-signs sides piece_tick piece_start piece_length piece_value low high change quantum pace timing weights
+signs sides piece_tick piece_start piece_length piece_value low high change quantum pace lowest highest timing weights
 """
 _SHORT = {"H": "normals", "h": "offsets", "x_d": "desired", "u_ff": "feedforward", "K": "gain"}  # cases are alike
+_ENDLESS = ("low", "high", "change", "lowest", "highest")  # infinite where there is none
 _SHORT |= {"C": "outputs", "M": "correction"}
 _NUMBERS = {
     "tick": "samples so far",
@@ -126,7 +127,7 @@ def _constants(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) 
     found = dict[str, tuple[Kind, NDArray[Any]]]()
     for name in _ORDER.split():
         values = known.get(name, np.zeros(0))
-        there = np.isfinite(values) if name in ("low", "high", "change") else values > 0 if name == "quantum" else True
+        there = np.isfinite(values) if name in _ENDLESS else values > 0 if name == "quantum" else True
         if values.size and np.any(there):
             kind: Kind = "real" if values.dtype.kind == "f" else kinds.get(name, "whole")
             found[_SHORT.get(name, name)] = (kind, np.where(there, values, 0))  # 0 where there is none

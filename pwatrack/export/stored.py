@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pwatrack.arrays import Array
 from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.set_points import SetPoints
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
 from pwatrack.control.program import PACE, Follows, Piece, SampledController, program
@@ -98,8 +99,14 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
         "inside": _lists(inside, *_FOLLOWED) | made,
-        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference), "pace": outside.pace.tolist()},
+        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference)} | _set_points(controller, outside),
     }
+
+
+def _set_points(controller: ProvedController, outside: SampledController) -> dict[str, Any]:
+    takes = next((claim.takes for claim in controller.claims_of(SetPoints)), [])
+    ends = [ends if np.isfinite(ends).all() else None for ends in outside.set_range.tolist()]
+    return {"pace": outside.pace.tolist(), "range": ends if any(ends) else [], "takes": takes}
 
 
 def read(path: Path) -> ControllerFile:
@@ -187,6 +194,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
         pace=table("program.outside.pace", *_pace_shape(part.outside)) if given else np.zeros((0, 4)),
+        set_range=_range(part.outside) if given else np.zeros((0, 2)),
     )
     for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))
@@ -203,6 +211,14 @@ def _pace_shape(outside: Outside) -> tuple[int, int]:
     return outputs, max(4, len(outside.reference) // outputs) if outputs else 4
 
 
+def _range(outside: Outside) -> Array:
+    """Return what set-points may be, (outputs, 2)."""
+    ends = outside.range or [None] * len(outside.pace)
+    if len(ends) != len(outside.pace):
+        raise ValueError("program.outside.range has not an entry for each output")
+    return np.array([one or [-np.inf, np.inf] for one in ends]).reshape(len(ends), 2)
+
+
 def _follows(inside: Inside, turn: Array) -> Follows:
     pieces = tuple(Piece(tick=piece.tick, start=piece.start, w=np.array(piece.w)) for piece in inside.pieces)
     w0 = np.array(inside.w0, dtype=np.float64)
@@ -217,6 +233,8 @@ def _check_runs(known: ControllerFile) -> None:
     outputs, entries = len(outside.pace), len(outside.reference)
     if (outside.pace[:, 1:] <= 0).any() or (outputs and entries not in outputs * np.arange(2, 2 + len(PACE))):
         raise ValueError("program.outside.pace: a limit is not positive, or its reference has other entries")
+    if ((outside.set_range[:, 0] > outside.pace[:, 0]) | (outside.set_range[:, 1] < outside.pace[:, 0])).any():
+        raise ValueError("program.outside.range: an output does not start in it")
     follows, of = inside.follows, inside.sizes
     assert follows is not None
     if len(follows.early) != inside.sampling.ahead:
@@ -323,8 +341,9 @@ def check_same(
     found, conditions = runs(known), spec.scenario.conditions
     conditions = replace(conditions, sampling=conditions.sampling or found.sampling)
     made = Sampled.model_validate(sampled(controller, conditions))
-    if known.program.outside.pace != made.outside.pace:
-        raise _other("program.outside.pace")
+    for name in ("pace", "range"):
+        if getattr(known.program.outside, name) != getattr(made.outside, name):
+            raise _other(f"program.outside.{name}")
     for name in _CHOSEN:
         for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
             raise _other(place)

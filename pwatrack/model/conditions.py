@@ -76,6 +76,7 @@ class Conditions:
     quanta: Quanta | None = None  # of inputs and measured outputs, of a controller that is sampled
     rates: Array | None = None  # by how much each input may change in a second, (m,); infinite for no limit
     pace: Array | None = None  # limits of the derivatives of y_d that a program makes of set-points, (tracked, 3 … 5)
+    set_range: Array | None = None  # what these set-points may be, infinite where nothing is said, (tracked, 2)
 
     def texts(self, plant: PWASystem) -> list[str]:
         """Say what is not as the theorems assume, each in a few words; `plant` has the names."""
@@ -114,7 +115,7 @@ class Conditions:
     @property
     def nominal(self) -> bool:
         """Whether the loop is the one that the proofs are about."""
-        return all(value is None for name, value in vars(self).items() if name != "pace")
+        return all(value is None for name, value in vars(self).items() if name not in ("pace", "set_range"))
 
 
 def _range(low: float, high: float) -> str:

@@ -58,6 +58,8 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
         low=numbers(program.limits[:, 0]),
         high=numbers(program.limits[:, 1]),
         pace=numbers(np.hstack([program.pace, near])),
+        lowest=numbers(program.set_range[:, 0]),
+        highest=numbers(program.set_range[:, 1]),
         windows=whole(windows),
         window_start=whole((np.cumsum(kept) - kept.ravel()).reshape(kept.shape)),
         weights=numbers(np.stack([windows, windows * h, h / (12 * windows)], axis=-1)),

@@ -163,6 +163,8 @@ class ControllerArrays(NamedTuple):
     change: Array  # by how much an input may change in a sample, (m,)
     quantum: Array  # its steps, (m,)
     pace: Array  # of set-points: as there, and last how far from one counts as there, (outputs, 5 … 7)
+    lowest: Array  # what set-points may be, with `highest`, infinite for any, (outputs,)
+    highest: Array
     timing: Array  # the sample time, ½, ⅓, longer than anything lasts, 0, (5,)
     windows: IntArray  # over how many samples each derivative above the jerk is a mean, (outputs, 0 … 2)
     window_start: IntArray  # where in `past` its samples begin
@@ -1182,6 +1184,15 @@ def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int,
 
 
 @_as_written
+def _keep(routine: ControllerArrays, room: Array, channel: int, place: int) -> None:
+    """Cut a set-point, or what is made of it, off at the ends of its range, where it has one."""
+    if routine.lowest[channel] > -np.inf and room[place] < routine.lowest[channel]:
+        room[place] = routine.lowest[channel]
+    if routine.highest[channel] < np.inf and room[place] > routine.highest[channel]:
+        room[place] = routine.highest[channel]
+
+
+@_as_written
 def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array, channel: int) -> None:
     """Make a set-point y_d and its derivatives: on towards it for as long as a stop would still end before it.
 
@@ -1189,9 +1200,10 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
     """
     at = routine.at
     "3. Set-point {channel}."
-    part = given[channel] - memory[at.course + 4 * channel + 3]
-    room[at.course + 4 * channel] = memory[at.course + 4 * channel] + part
     room[at.course + 4 * channel + 3] = given[channel]
+    _keep(routine, room, channel, at.course + 4 * channel + 3)
+    part = room[at.course + 4 * channel + 3] - memory[at.course + 4 * channel + 3]
+    room[at.course + 4 * channel] = memory[at.course + 4 * channel] + part
     early, width, aim, left = routine.timing[4], routine.timing[0], routine.timing[4], routine.timing[4]
     for i in range(_TRIALS + 2):
         for k in range(3):
@@ -1221,7 +1233,7 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
     if left > 0.0 and room[at.going] < width and room[at.going] > -width:
         room[at.going] = 0.0
     degree = at.s // len(routine.pace) - 1
-    room[at.made] = given[channel] - room[at.course + 4 * channel]
+    room[at.made] = room[at.course + 4 * channel + 3] - room[at.course + 4 * channel]
     for order in range(1, min(degree, 3) + 1):
         room[at.made + order] = room[at.course + 4 * channel + order]
         if order == min(degree, 3):
@@ -1232,6 +1244,7 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
     for nth in range(degree - 3):
         _smooth(routine, memory, room, channel, nth)
     room[at.w + channel] = room[at.made]
+    _keep(routine, room, channel, at.w + channel)
     for order in range(1, degree + 1):
         value = room[at.made + order]
         if value > routine.pace[channel, order]:

@@ -384,6 +384,7 @@ def build_conditions(
     return Conditions(
         quanta=quanta,
         pace=readonly([pace.limits for pace in paces]) if paces else None,
+        set_range=np.array([pace.range or [-np.inf, np.inf] for pace in paces]) if paces else None,
         rates=_vector(section.rate_limit, plant.inputs, np.inf) if section.rate_limit else None,
         plant=running,
         parameters=changed,

@@ -9,6 +9,7 @@ from pydantic_core.core_schema import CoreSchema
 
 from pwatrack.spec.entries import (
     TEXT_OR_VALUE,
+    Interval,
     Name,
     NotNegative,
     Number,
@@ -140,18 +141,22 @@ Signals = Annotated[
 
 
 class PaceSection(Section):
-    """Limits of the derivatives of what is made of set-points, as many as the relative degree, at least to the jerk."""
+    """Limits of what is made of set-points: of as many derivatives as the relative degree, at least to the jerk."""
 
     speed: Positive
     acceleration: Positive
     jerk: Positive
     snap: Positive | None = None
     crackle: Positive | None = None
+    range: Interval | None = None
+    """What set-points may be: one that is beyond counts as its end. Needed where inputs have limits and a value of
+    the output itself takes some of them."""
 
     @property
     def limits(self) -> list[float]:
-        """Those that there are, in order."""
-        return [limit for name in type(self).model_fields if (limit := getattr(self, name)) is not None]
+        """Those of derivatives that there are, in order."""
+        each = (self.speed, self.acceleration, self.jerk, self.snap, self.crackle)
+        return [limit for limit in each if limit is not None]
 
     def rules(self, context: Context) -> Iterator[Fault]:
         """Yield where one is left out."""

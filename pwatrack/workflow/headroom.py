@@ -1,6 +1,7 @@
 """What limits of signals mean for a design: whether they leave room for the reference, and how much beside it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from pwatrack.control.bounds import state_rows
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.headroom import OFF, Headroom, Peak, SignalRoom, Starts
+from pwatrack.control.set_points import Demand
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.lmi.exact import Certificate
@@ -24,7 +26,11 @@ _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays 
 
 
 def room_within_limits(
-    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, sizes: Sizes
+    spec: Spec,
+    trajectory: DesiredTrajectory,
+    generator: TrajectoryGenerator | None,
+    sizes: Sizes,
+    set_points: Demand | None = None,
 ) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
@@ -34,7 +40,7 @@ def room_within_limits(
     limits, names = spec.scenario.conditions.limits, spec.problem.plant.inputs
     if limits is None:
         return None
-    room = _room(spec, trajectory, generator, sizes, limits, trajectory.u_ff)
+    room = replace(_room(spec, trajectory, generator, sizes, limits, trajectory.u_ff), set_points=set_points)
     at = [("simulation", "actuator", "limits", name) for name in names]
     _check(spec, room, [f"the reference takes {name}" for name in names], at, "take a stronger drive")
     return room

@@ -16,6 +16,7 @@ from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.set_points import Demand
 from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
@@ -34,6 +35,7 @@ from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.workflow.headroom import room_of_signals, room_within_limits
 from pwatrack.workflow.outcome import RunMonitor
 from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.set_points import demand_of
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.starting import generator_start, initial_values, plant_start
@@ -49,13 +51,13 @@ def design(spec: Spec, *, growing: bool = False) -> ProvedController:
     """
     with asking(spec.objectives.solver):
         try:
-            controller, room = _with_gains(spec, growing)
+            controller, room, taken = _with_gains(spec, growing)
             with spec.located():
                 if spec.scenario.conditions.sampling is not None:
                     program(controller, spec.scenario.conditions)  # or a refusal: a sample may be too long
                     if spec.scenario.conditions.pace is not None:
                         program(controller, spec.scenario.conditions, given=True)
-                return proved(controller, asked_of(spec, room, controller))
+                return proved(controller, asked_of(spec, room, controller, taken))
         except PwatrackError as refusal:
             return _practical(spec, growing, refusal)
 
@@ -71,7 +73,7 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
         little = not_worth(spec, practical)
         if spec.objectives.practical or not little:
             less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
-            return proved(found, asked_of(less, _room(less, found), found))
+            return proved(found, asked_of(less, *_rooms(less, found)))
         remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
     elif not spec.objectives.practical:
         raise refusal
@@ -79,13 +81,16 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
     raise type(refusal)(*told, evidence=refusal.evidence) from None
 
 
-def asked_of(spec: Spec, room: Headroom | None, controller: ProvedController) -> Asked:
-    """Return what a spec asks to be proved, given what the feedforward leaves of the limits of its inputs, if any."""
+def asked_of(
+    spec: Spec, room: Headroom | None, controller: ProvedController, set_points: Demand | None = None
+) -> Asked:
+    """Return what a spec asks to be proved, given what feedforward and set-points leave of limits of inputs, if any."""
     problem, goals, sampling = spec.problem, spec.objectives, spec.scenario.conditions.sampling
     corrects = sampling is not None and sampling.corrects
     return Asked(
         words=spec.words,
         room=room,
+        set_points=set_points,
         signals=room_of_signals(spec, controller),
         box=goals.uncertain,
         corners=lambda plant: corners(problem.parametric, plant, goals.uncertain),
@@ -103,7 +108,7 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
     return None
 
 
-def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[ProvedController, Headroom | None]:
+def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[ProvedController, Headroom | None, Demand | None]:
     """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave.
 
     Where tracking is not exact nothing is proved of inputs at their limits, and K is not made for them.
@@ -113,7 +118,8 @@ def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[Prove
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, sizes = spec.objectives, spec_sizes(spec)
-        room = room_within_limits(spec, trajectory, generator, sizes)
+        taken = demand_of(spec, trajectory, generator)
+        room = room_within_limits(spec, trajectory, generator, sizes, taken)
         gains = synthesize(  # (8), (9)
             plant,
             controller=goals.controller,
@@ -134,7 +140,7 @@ def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[Prove
             generator=generator,
             proofs=proofs,
             sizes=sizes,
-        ), room
+        ), room, taken
 
 
 def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint | None:
@@ -149,8 +155,10 @@ def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint 
     return room.within(sizes) if within == "limits" else None
 
 
-def _room(spec: Spec, controller: ProvedController) -> Headroom | None:
-    return room_within_limits(spec, controller.trajectory, controller.generator, controller.sizes)
+def _rooms(spec: Spec, controller: ProvedController) -> tuple[Headroom | None, ProvedController, Demand | None]:
+    trajectory, generator = controller.trajectory, controller.generator
+    taken = demand_of(spec, trajectory, generator)
+    return room_within_limits(spec, trajectory, generator, controller.sizes, taken), controller, taken
 
 
 def sampling_known(spec: Spec) -> tuple[str, ...]:
@@ -279,7 +287,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
 def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:
     """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
     with spec.located(), asking(spec.objectives.solver):
-        return proved(replace(controller, claims=()), asked_of(spec, _room(spec, controller), controller))
+        return proved(replace(controller, claims=()), asked_of(spec, *_rooms(spec, controller)))
 
 
 def check_plant(spec: Spec, designed: PWASystem) -> None:

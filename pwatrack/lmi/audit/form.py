@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from fractions import Fraction
 from functools import partial, reduce
+from itertools import accumulate
 from typing import Any
 
 from .balls import Ball, frozen, stacked, unlike
@@ -22,15 +23,9 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     fits = len(internal) == len(generator["eta"]) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
     if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
         raise AuditFault("the form (11) does not fit the plant")
-    outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
-    C = [joined([rows.row(-1) for rows in cell]) for cell in zip(*outputs, strict=True)]
-    BZ = plant.B @ Ball(Z)
-    one_to_one([C_i @ BZ for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
-    share, N = BZ @ (C[0] @ BZ).inverse(), list[Ball]()
-    for j in internal:
-        own = Ball([[Fraction(int(j == k)) for k in range(n)]])
-        N.append(own - share.row(j) @ C[0])
-    T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
+    T = coordinates(plant, degrees, internal, Z)
+    C = [joined([T_i.row(k - 1) for k in accumulate(degrees)]) for T_i in T]
+    one_to_one([C_i @ plant.B @ Ball(Z) for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
     found, backs = list[Ball](), once(Ball.inverse, T)
     if plant.elements is not None and len(unlike(T)) > 1:
         raise AuditFault("the last derivative of an output differs between cells, which are not listed")
@@ -44,6 +39,18 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
         raise AuditFault("T is not that of the plant")
     return found, shift(plant, degrees, T, backs, [] if resting is None else matrix(resting))
+
+
+def coordinates(plant: AuditedPlant, degrees: list[int], internal: list[int], Z: Matrix) -> list[Ball]:
+    """Return in each cell T of (xi, eta) = T x + o: derivatives of outputs, then e_j - (B Z (C Z)^-1)_j C."""
+    outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
+    C = joined([rows[0].row(-1) for rows in outputs])
+    BZ, N, n = plant.B @ Ball(Z), list[Ball](), len(plant.B[0])
+    share = BZ @ (C @ BZ).inverse()
+    for j in internal:
+        own = Ball([[Fraction(int(j == k)) for k in range(n)]])
+        N.append(own - share.row(j) @ C)
+    return [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
 
 
 def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
