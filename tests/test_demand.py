@@ -1,7 +1,9 @@
 """What any set-points take of the inputs: closed forms, programs that are told to go anywhere, forged certificates."""
 
 import json
+import re
 from copy import deepcopy
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,12 +13,16 @@ import pytest
 import yaml
 from numba import njit
 
-from pwatrack import ProvedController, design, load_spec
+from pwatrack import design, load_spec
 from pwatrack.arrays import Array
-from pwatrack.claims.registry import data, figures, rows
+from pwatrack.claims.exact_text import decimal
+from pwatrack.claims.limits import NoSaturation
+from pwatrack.claims.registry import brief, data, figures, rows
 from pwatrack.claims.set_points import SetPoints
 from pwatrack.commands.export import of_spec
-from pwatrack.commands.verify import told_design
+from pwatrack.commands.run import run
+from pwatrack.commands.verify import told_design, verify
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import _given_trajectory
 from pwatrack.control.set_points import Demand
 from pwatrack.errors import InvalidSpec, OutsideTheory
@@ -54,7 +60,9 @@ def cart(low: float, high: float, *, spring: float = 0.0, limits: Any = None, **
     }
 
 
-def told(name: str, low: float, high: float, h: float, **limits: float) -> dict[str, Any]:
+def told(
+    name: str, low: float, high: float, h: float, *, generator: Any = None, emulated: bool = False, **limits: float
+) -> dict[str, Any]:
     """A spec with each output told where to go, from its middle."""
     spec: dict[str, Any] = yaml.safe_load((SPECS / f"{name}.yaml").read_text(encoding="utf-8"))
     outputs = spec["system"].get("track", spec["system"]["outputs"])
@@ -64,7 +72,9 @@ def told(name: str, low: float, high: float, h: float, **limits: float) -> dict[
         "outside": {"filter": {y: limits | {"range": [low, high]} for y in outputs}},
     }
     kept = {key: value for key, value in spec["simulation"].items() if key in ("duration", "sample_time")}
-    spec["simulation"] = kept | {"controller": {"sample_time": h}}
+    sampled = {"sample_time": h} | ({"method": "emulated"} if emulated else {})
+    spec["simulation"] = kept | {"controller": sampled}
+    spec["simulation"] |= {"initial": {"generator": generator}} if generator else {}
     return {key: value for key, value in spec.items() if key not in ("require", "design")}
 
 
@@ -72,10 +82,18 @@ PLANTS = {
     "spring": lambda: cart(-0.1, 0.3, spring=K),
     "stop": lambda: cart(-0.1, 0.1),
     "backlash": lambda: told("two_mass_backlash", -1, 1, 0.01, speed=1, acceleration=2, jerk=20),
+    "backlash, from afar": lambda: told(
+        "two_mass_backlash", -0.1, 0.1, 0.01, generator=[3, 0], speed=0.1, acceleration=0.2, jerk=2
+    ),
     "kinked": lambda: told("gallery/kinked_tanks", 0.5, 1.5, 0.01, speed=0.2, acceleration=0.1, jerk=0.5),
     "diode": lambda: told("gallery/diode_ladder", 0, 2, 0.001, speed=1, acceleration=20, jerk=400),
-    "two outputs": lambda: told("gallery/three_tanks_pumps", 0.1, 0.4, 0.05, speed=0.01, acceleration=0.01, jerk=0.05),
+    "two outputs": lambda: told(
+        "gallery/three_tanks_pumps", 0.1, 0.4, 0.05, emulated=True, speed=0.01, acceleration=0.01, jerk=0.05
+    ),
 }
+
+
+USED = dict(zip(PLANTS, (0.7, 0.8, 0.4, 0.3, 0.95, 0.4, 0.5), strict=True))  # of the interval, by what is tried
 
 
 @cache
@@ -161,5 +179,146 @@ def test_no_sequence_of_set_points_leaves_the_interval(name: str) -> None:
     for values in taken(name, 1, 10_000):
         assert (values >= found.low).all()
         assert (values <= found.high).all()
-        used = np.ptp(values, axis=0) / (found.high - found.low)
-        print(name, found.low, found.high, values.min(axis=0), values.max(axis=0), used)
+        assert (np.ptp(values, axis=0) > USED[name] * (found.high - found.low)).all()
+
+
+def test_more_limits_more_room_and_cells_that_are_not_reached_take_nothing() -> None:
+    """It grows with each limit; a stop out of reach is no stop, and its multipliers show it."""
+    before, after = (design(load_spec(cart(-0.1, high))).claim(SetPoints).demand for high in (0.039, 0.041))
+    assert [[*cell] for cell in before.proof["cells"]] == [["lowest", "highest"], ["not_reached"]]
+    assert [[*cell] for cell in after.proof["cells"]] == [["lowest", "highest"]] * 2
+    for limit in ("speed", "acceleration"):
+        more = design(load_spec(cart(-0.1, 0.039, **{limit: 2 * {"speed": V, "acceleration": A}[limit]})))
+        assert more.claim(SetPoints).demand.high[0] > before.high[0]
+
+
+def test_what_is_left_of_limits_is_left_whatever_the_set_points_are() -> None:
+    spec = load_spec(cart(-0.1, 0.3, spring=K, limits=[-30, 40]))
+    controller = design(spec)
+    claim, said = controller.claim(SetPoints), dict(rows(spec.words, controller))
+    assert (
+        said["set-points"] == "any y_d within its limits takes u from -12.1 to 32.11 N: leaves 7.899 N for what is off"
+    )
+    found = figures(spec.words, controller)
+    assert found["set_points"]["inputs"]["u"]["takes"] == claim.takes[0]
+    assert found["set_points"]["inputs"]["u"]["left"] == pytest.approx(40 - 32.1, rel=1e-4)
+    (limits,) = controller.claims_of(NoSaturation)
+    assert limits.room.left is not None
+    assert limits.room.left[0] == found["set_points"]["inputs"]["u"]["left"]
+    assert [text.count("whatever the set-points") for _, text in limits.rows(spec.words, controller)] == [0, 1, 1, 0]
+    less = design(load_spec(cart(-0.1, 0.3, spring=K, limits=[-30, 34]))).claims_of(NoSaturation)[0]
+    for wide, narrow in list(zip(limits.promises, less.promises, strict=True))[:2]:
+        assert narrow.scale(less.room.left) < 0.5 * wide.scale(limits.room.left)
+
+
+@pytest.mark.parametrize(
+    ("limits", "figure", "would"),
+    [
+        ([-40, 30], "32.1 N, above its upper limit, 30 N", "speed|range"),
+        ([-12, 40], "-12.1 N, below its lower limit, -12 N", "range|acceleration 0.95 m/s2|speed"),
+    ],
+)
+def test_what_takes_more_than_there_is_is_refused_with_what_would_do(limits: Any, figure: str, would: str) -> None:
+    with pytest.raises(OutsideTheory) as refusal:
+        design(load_spec(cart(-0.1, 0.3, spring=K, limits=limits)))
+    (problem,) = refusal.value.problems
+    assert problem.message == f"set-points may take u = {figure}"
+    assert problem.subject == ("reference", "outside", "filter")
+    assert problem.hint is not None
+
+
+def test_with_what_would_do_it_is_within() -> None:
+    """The figure of the hint, put into the file, is accepted; five parts in a thousand more are not."""
+    with pytest.raises(OutsideTheory, match="above its upper limit, 31 N") as refusal:
+        design(load_spec(cart(-0.1, 0.3, spring=K, limits=[-31, 31])))
+    hint = refusal.value.problems[0].hint or ""
+    found = re.search(r"acceleration ([0-9.]+) m/s2", hint)
+    assert found is not None
+    most = float(found[1])
+    assert most == pytest.approx((31 - D * V - K * 0.3) / M, rel=1e-3)
+    design(load_spec(cart(-0.1, 0.3, spring=K, limits=[-31, 31], acceleration=most)))
+    with pytest.raises(OutsideTheory):
+        design(load_spec(cart(-0.1, 0.3, spring=K, limits=[-31, 31], acceleration=most * 1.005)))
+
+
+def test_a_range_is_asked_for_where_it_matters_and_only_there() -> None:
+    spec = cart(-0.1, 0.3, spring=K, limits=[-40, 40])
+    del spec["reference"]["outside"]["filter"]["y"]["range"]
+    with pytest.raises(InvalidSpec, match="no range of y is given: what it takes of the inputs, which have limits"):
+        design(load_spec(spec))
+    del spec["simulation"]["actuator"]
+    bare = load_spec(spec)
+    assert dict(rows(bare.words, design(bare)))["set-points"] == (
+        "what any y_d within its limits takes is not known, since it depends on y, of which no range is given"
+    )
+    free = cart(-1, 1, spring=K, limits=[-40, 40])
+    del free["reference"]["outside"]["filter"]["y"]["range"]
+    free["system"]["A"] = [[0, 1], [0, -D / M]]
+    found = design(load_spec(free)).claim(SetPoints).demand
+    np.testing.assert_allclose([found.low[0], found.high[0]], [-(M * A + D * V), M * A + D * V], rtol=1e-12)
+
+
+def test_where_internal_states_may_take_more_it_is_said_and_not_refused() -> None:
+    spec = load_spec(PLANTS["backlash"]() | {"name": "Backlash"})
+    limited = deepcopy(PLANTS["backlash"]())
+    limited["simulation"]["actuator"] = {"limits": {"u": [-5, 5]}}
+    limited = load_spec(limited)
+    controller = design(limited)
+    said = dict(rows(limited.words, controller))["set-points"]
+    assert said.endswith(
+        "N, as far as is proved: more than its limits; what is said of these is of the reference in the file"
+    )
+    assert ("NOT proved", "limits with set-points at run time") in list(brief(limited.words, controller))
+    assert controller.claim(NoSaturation).room.left is not None
+    assert "whatever" not in " ".join(text for _, text in rows(limited.words, controller))
+    assert dict(brief(spec.words, design(spec))).get("NOT proved") is None
+
+
+def forged(content: dict[str, Any], *path: Any, by: Any) -> list[str]:
+    """What the auditor finds wrong where one entry is another."""
+    changed = deepcopy(content)
+    at: Any = changed["set_points"]
+    for key in path[:-1]:
+        at = at[key]
+    at[path[-1]] = by(at[path[-1]])
+    return audit(json_text(changed))[1]
+
+
+def smaller(value: str) -> str:
+    return decimal(0.9 * float(Fraction(value)))
+
+
+@pytest.mark.parametrize("name", ["stop", "backlash", "backlash, from afar", "kinked", "two outputs"])
+def test_the_auditor_agrees_and_sees_every_number_that_is_forged(name: str) -> None:
+    spec = load_spec(PLANTS[name]())
+    controller, found = made(name)
+    content = json.loads(json_text(design_certificate(spec, controller)), parse_float=str)
+    said, faults = audit(json_text(content))
+    assert not faults
+    assert any(text.startswith("set-points: whatever they are, u_ff is within") for text in said)
+    for k in range(len(found.low)):
+        assert forged(content, "u_ff", k, 0, by=smaller)
+        assert forged(content, "u_ff", k, 1, by=smaller)
+    assert forged(content, "box", 1, 1, by=lambda v: decimal(2 * float(v)))
+    assert forged(content, "cells", by=lambda cells: cells[:-1])
+    assert forged(content, "cells", 0, by=lambda _: {"not_reached": ["0"] * len(content["plant"]["H"])})
+    for k, part in enumerate(content["set_points"]["parts"]):
+        assert forged(content, "parts", by=lambda parts, k=k: parts[:k] + parts[k + 1 :])
+        assert forged(content, "parts", k, "sizes", 0, by=smaller)
+        entry = max(range(len(part["Q"]["integers"])), key=lambda j: abs(part["Q"]["integers"][j][j]))
+        assert forged(content, "parts", k, "Q", "integers", entry, entry, by=lambda v: v // 2)
+    if content["set_points"]["parts"]:
+        assert forged(content, "start", -1, by=lambda v: decimal(float(v) + 1000))
+        assert forged(content, "centre", 0, by=lambda v: decimal(float(Fraction(v)) + 1000))
+        assert forged(content, "M", 0, 0, by=lambda v: decimal(float(v) + 100))
+    again = told_design(spec, content)
+    assert data(again) == data(controller)
+    assert list(rows(spec.words, again)) == list(rows(spec.words, controller))
+
+
+def test_a_run_folder_is_verified_and_its_controller_has_the_numbers(tmp_path: Path) -> None:
+    spec = tmp_path / "told.yaml"
+    spec.write_text(json.dumps(PLANTS["stop"]()), encoding="utf-8")
+    run(spec, tmp_path / "run", [], None, simulated=False)
+    said = verify(tmp_path / "run")
+    assert "set-points: whatever they are, u_ff is within -2.1 to 8.1" in " ".join(said)

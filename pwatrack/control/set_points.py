@@ -208,7 +208,9 @@ def _at_rest(rows: Sequence[Form], kept: Kept) -> tuple[int, list[Fraction]] | N
         q = rate.shape[0]
         known = rate.part(range(q), [*range(r), r + q + p]) @ _column([*kept.centre[:r], 1])
         try:
-            found = [-fraction_of(v) for v in (rate.part(range(q), range(r, r + q)).centre.inv() * known.centre).entries()]
+            found = [
+                -fraction_of(v) for v in (rate.part(range(q), range(r, r + q)).centre.inv() * known.centre).entries()
+            ]
         except ZeroDivisionError:
             continue
         if any(v.numerator.bit_length() + v.denominator.bit_length() > _LONG for v in found):
@@ -320,7 +322,10 @@ def _forms(rows: Sequence[Form], S: BallMatrix, z: range) -> BallMatrix:
     """Return rows of z that are to be bounded: each entry, and what u_ff and the bounds of cells have of it."""
     found = {tuple(row): None for row in np.eye(len(z)).tolist()}
     for u_ff, _, inside in rows:
-        for row in (*(u_ff @ S).floats[:, z.start : z.stop].tolist(), *(inside @ S).floats[:, z.start : z.stop].tolist()):
+        for row in (
+            *(u_ff @ S).floats[:, z.start : z.stop].tolist(),
+            *(inside @ S).floats[:, z.start : z.stop].tolist(),
+        ):
             if np.count_nonzero(row) > 1 and tuple(-v for v in row) not in found:
                 found[tuple(v + 0.0 for v in row)] = None
     return BallMatrix.of([*found], (len(found), len(z)))

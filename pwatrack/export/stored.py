@@ -99,7 +99,9 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
         "inside": _lists(inside, *_FOLLOWED) | made,
-        "outside": _lists(outside, *_FOLLOWED) | {"reference": list(outside.reference)} | _set_points(controller, outside),
+        "outside": _lists(outside, *_FOLLOWED)
+        | {"reference": list(outside.reference)}
+        | _set_points(controller, outside),
     }
 
 

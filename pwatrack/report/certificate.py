@@ -36,7 +36,12 @@ def design_certificate(spec: Spec, controller: ProvedController) -> dict[str, An
     content, form = data(controller), controller.form
     for practical in controller.claims_of(Practical):
         spec, form = merged_spec(spec, practical.merges, watched=controller.plant.watched is not None), None
-    listed = bool(content["practical"] or content["uncertain"] or content["set_points"] or any("degree" in proof for proof in content["proofs"]))
+    listed = bool(
+        content["practical"]
+        or content["uncertain"]
+        or content["set_points"]
+        or any("degree" in proof for proof in content["proofs"])
+    )
     subject = _content(spec, controller.design.K, controller.design.L, [], listed=listed, form=form)
     return subject | content
 

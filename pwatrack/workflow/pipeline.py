@@ -108,7 +108,9 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
     return None
 
 
-def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[ProvedController, Headroom | None, Demand | None]:
+def _with_gains(
+    spec: Spec, growing: bool, *, exact: bool = True
+) -> tuple[ProvedController, Headroom | None, Demand | None]:
     """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave.
 
     Where tracking is not exact nothing is proved of inputs at their limits, and K is not made for them.
@@ -132,15 +134,19 @@ def _with_gains(spec: Spec, growing: bool, *, exact: bool = True) -> tuple[Prove
             gains = with_starts_inside(plant, gains, goals.controller, sizes, declared)
         check_breaks(spec, trajectory, generator, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes)
-        return ProvedController(  # (18), (19)
-            plant=plant,
-            running=plant,
-            design=gains,
-            trajectory=trajectory,
-            generator=generator,
-            proofs=proofs,
-            sizes=sizes,
-        ), room, taken
+        return (
+            ProvedController(  # (18), (19)
+                plant=plant,
+                running=plant,
+                design=gains,
+                trajectory=trajectory,
+                generator=generator,
+                proofs=proofs,
+                sizes=sizes,
+            ),
+            room,
+            taken,
+        )
 
 
 def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint | None:

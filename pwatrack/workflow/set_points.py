@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
-
 from pwatrack.arrays import Array, number_text
 from pwatrack.claims.exact_text import CLOSE
 from pwatrack.control.generator import TrajectoryGenerator
@@ -71,14 +70,16 @@ def _check(spec: Spec, generator: TrajectoryGenerator, found: Demand, limits: Ar
         way = "above its upper" if side else "below its lower"
         message = f"set-points may take {names[k]} = {needed}, {way} limit, {limit}"
         would = _would_do(spec, generator, found.kept, limits)
-        hint = f"it is within with {' or '.join(would)}" if would else "no limit of them by itself would do: lower several"
+        hint = (
+            f"it is within with {' or '.join(would)}" if would else "no limit of them by itself would do: lower several"
+        )
         problems.append(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
     if problems:
         raise OutsideTheory(*problems)
 
 
 def _would_do(spec: Spec, generator: TrajectoryGenerator, kept: Kept, limits: Array) -> Sequence[str]:
-    """Return which single limit of set-points, and how low, has all inputs within limits: that of least change first."""
+    """Return which single limits of set-points would do, and how low they have to be: that of least change first."""
     outputs, units, found = spec.problem.plant.tracked_names, spec.problem.units, list[tuple[float, str]]()
     for k, ends in enumerate(kept.box):
         if ends is None or ends[0] == ends[1] or demand(generator, kept.times(k, Fraction(0))).beyond(limits):
@@ -105,5 +106,3 @@ def _down(value: Fraction) -> float:
     """Return a number in four digits that is not larger, of a positive one."""
     shown = float(f"{float(value):.4g}")
     return shown if shown <= value else float(f"{float(value) * (1 - 5e-4):.4g}") if value else 0.0
-
-

@@ -72,7 +72,9 @@ class Kept:
         found = list[tuple[list[Row], list[Row], list[Row]]]()
         for i, (T_i, back) in enumerate(zip(T, once(Ball.inverse, T), strict=True)):
             A, b = plant.A[i], plant.b[i]
-            o = joined([T_i.row(k - 1) @ b if self.higher(k) else Ball([[Fraction(0)]]) for k in range(len(T_i.centre))])
+            o = joined(
+                [T_i.row(k - 1) @ b if self.higher(k) else Ball([[Fraction(0)]]) for k in range(len(T_i.centre))]
+            )
             whole = T_i @ A @ back
             field = sides_of(whole, T_i @ b - whole @ o)
             X = Z @ (joined([T_i.row(k) for k in last]) @ plant.B @ Z).inverse()
@@ -191,7 +193,10 @@ def drives(kept: Kept, rates: list[list[Row]], cell: int) -> Any:
         most = Fraction(0)
         for rate in rates:
             if rate is not own:
-                off = [abs(a - b) + r + s for a, b, r, s in zip(rate[j].at, own[j].at, rate[j].off, own[j].off, strict=True)]
+                off = [
+                    abs(a - b) + r + s
+                    for a, b, r, s in zip(rate[j].at, own[j].at, rate[j].off, own[j].off, strict=True)
+                ]
                 most = max(most, dot(off[: len(kept.widths)], kept.widths))
         most += own[j].sizes[-1]
         if most:
@@ -215,7 +220,7 @@ def stays(matrices: list[Ball], column: Ball, part: Any, *, start: bool) -> bool
 
 
 def intervals(kept: Kept, content: Any, sizes: list[Fraction]) -> list[str]:
-    """Return what is wrong with the intervals: in each cell multipliers show how far u_ff goes, or that it is missed."""
+    """Return what is wrong with the intervals: multipliers say how far u_ff goes in each cell."""
     widths, faults = [*kept.widths, *sizes[: kept.q]], list[str]()
     count, ends, zero = len(kept.cells[0][0]), matrix(content["u_ff"]), [Fraction(0)] * len(kept.widths)
     if len(content["cells"]) != len(kept.cells) or [len(pair) for pair in ends] != [2] * count:
