@@ -156,7 +156,7 @@ class Plain:
     def ranged(self, k: int, value: Any) -> Any:
         """A set-point, or what is made of it, within its range."""
         low, high = map(self.real, self.program.set_range[k]) if len(self.program.set_range) else (-np.inf, np.inf)
-        return low if value < low else high if value > high else value
+        return value if not isfinite(value) else low if value < low else high if value > high else value
 
     def mean(self, row: Any, window: Any) -> Any:
         """The mean over a window, newest first, that ends with a row: it has one more derivative."""

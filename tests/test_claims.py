@@ -1,6 +1,7 @@
 """Nothing is printed that has no entry in docs/claims.md."""
 
 import io
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -27,6 +28,7 @@ from pwatrack.workflow.pipeline import design
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
 from tests.test_cli import call
+from tests.test_demand import TOLD
 from tests.test_outcome import ROD, RUNAWAY, cart
 from tests.test_screen import stage
 
@@ -165,6 +167,9 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         path = tmp_path / f"{name}.yaml"
         path.write_text(f"name: {name}\n{text}")
         yield path
+    for name, told in TOLD.items():
+        (tmp_path / f"{name}.yaml").write_text(json.dumps(told()))
+        yield tmp_path / f"{name}.yaml"
     for name, wishes in EXTRA.items():
         slope = "1.001" if name == "rounded" else "1"
         push = "1/m" if name == "uncertain" else "1"

@@ -23,8 +23,7 @@ from pwatrack.commands.export import of_spec
 from pwatrack.commands.run import run
 from pwatrack.commands.verify import told_design, verify
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.program import _given_trajectory
-from pwatrack.control.set_points import Demand
+from pwatrack.control.demand import Demand
 from pwatrack.errors import InvalidSpec, OutsideTheory
 from pwatrack.export.stored import runs
 from pwatrack.lmi.audit.certificate import audit
@@ -93,6 +92,26 @@ PLANTS = {
 }
 
 
+def limited(name: str, limit: float) -> dict[str, Any]:
+    """With limits of its input, on either side."""
+    spec: dict[str, Any] = PLANTS[name]()
+    spec["simulation"]["actuator"] = {"limits": {"u": [-limit, limit]}}
+    return spec
+
+
+def anywhere() -> dict[str, Any]:
+    """A cart on a spring that may be told to go anywhere."""
+    spec = cart(-0.1, 0.3, spring=K)
+    del spec["reference"]["outside"]["filter"]["y"]["range"]
+    return spec
+
+
+TOLD = {  # what there is to say of set-points
+    "two_told": PLANTS["two outputs"],
+    "cart_told": lambda: limited("stop", 12),
+    "backlash_told": lambda: limited("backlash", 5),
+    "anywhere_told": anywhere,
+}
 USED = dict(zip(PLANTS, (0.7, 0.8, 0.4, 0.3, 0.95, 0.4, 0.5), strict=True))  # of the interval, by what is tried
 
 
@@ -132,21 +151,27 @@ def taken(name: str, seed: int, count: int) -> tuple[Array, Array]:
     controller, _ = made(name)
     spec = load_spec(PLANTS[name]())
     program = runs(of_spec(spec, given=True, steps=2).file, given=True)
-    trajectory, at, sizes = _given_trajectory(controller)[0], program.places, program.sizes
+    at, sizes = program.places, program.sizes
     kept = memory(program, np.zeros(sizes["N"]), np.array(of_spec(spec, given=True, steps=2).file.started[1]))
     low, high = program.set_range[0]
     told_to = sequence(np.random.default_rng(seed), low, high, len(program.pace), count, program.sampling.sample_time)
     state = np.zeros((count, len(kept["memory"])))
     args = (*(kept[part] for part in ("memory", "counts", "room")), np.zeros(sizes["q"]), told_to, state)
     assert ticked(routine(program), *args) == count
-    s = np.hstack([state[:, at["eta_hat"]], state[:, at["w"]], np.ones((count, 1))])
-    w = state[:, at["w"]][:, : len(program.pace)]
-    assert (w >= program.set_range[:, 0]).all()
-    assert (w <= program.set_range[:, 1]).all()
-    wrong = (-(trajectory.signs[:, None] * (s @ trajectory.guards.T)[None])).max(axis=2, initial=0.0)
-    cell = wrong.argmin(axis=0)
-    ideal = np.einsum("kms,ks->km", trajectory.u_ff[cell], s)
-    return ideal, np.einsum("kms,ks->km", program.u_ff[cell], s)
+    known, form = np.hstack([state[:, at["eta_hat"]], state[:, at["w"]], np.ones((count, 1))]), controller.form
+    assert form is not None
+    w = state[:, at["w"]].reshape(count, -1, len(program.pace))
+    assert (w[:, 0] >= program.set_range[:, 0]).all()
+    assert (w[:, 0] <= program.set_range[:, 1]).all()
+    xi = np.hstack([w[:, :degree, j] for j, degree in enumerate(form.degrees)])
+    last = np.column_stack([w[:, degree, j] for j, degree in enumerate(form.degrees)])
+    x = np.hstack([xi, state[:, at["eta_hat"]]])
+    beyond = form.boundary.signs[:, None] * (x @ form.boundary.H.T + form.boundary.h)
+    cell = beyond.min(axis=2, initial=0.0).argmax(axis=0)
+    free = np.concatenate([form.alpha, form.beta], axis=2)
+    missed = last - np.einsum("kpx,kx->kp", free[cell], x) - form.gamma[cell]
+    ideal = np.einsum("kmp,kp->km", form.right_inverse[cell], missed)
+    return ideal, np.einsum("kms,ks->km", program.u_ff[cell], known)
 
 
 @pytest.mark.parametrize(
@@ -208,6 +233,7 @@ def test_what_is_left_of_limits_is_left_whatever_the_set_points_are() -> None:
     assert [text.count("whatever the set-points") for _, text in limits.rows(spec.words, controller)] == [0, 1, 1, 0]
     less = design(load_spec(cart(-0.1, 0.3, spring=K, limits=[-30, 34]))).claims_of(NoSaturation)[0]
     for wide, narrow in list(zip(limits.promises, less.promises, strict=True))[:2]:
+        assert less.room.left is not None
         assert narrow.scale(less.room.left) < 0.5 * wide.scale(limits.room.left)
 
 
@@ -242,17 +268,15 @@ def test_with_what_would_do_it_is_within() -> None:
 
 
 def test_a_range_is_asked_for_where_it_matters_and_only_there() -> None:
-    spec = cart(-0.1, 0.3, spring=K, limits=[-40, 40])
-    del spec["reference"]["outside"]["filter"]["y"]["range"]
-    with pytest.raises(InvalidSpec, match="no range of y is given: what it takes of the inputs, which have limits"):
-        design(load_spec(spec))
-    del spec["simulation"]["actuator"]
+    spec = anywhere()
     bare = load_spec(spec)
     assert dict(rows(bare.words, design(bare)))["set-points"] == (
         "what any y_d within its limits takes is not known, since it depends on y, of which no range is given"
     )
-    free = cart(-1, 1, spring=K, limits=[-40, 40])
-    del free["reference"]["outside"]["filter"]["y"]["range"]
+    spec["simulation"]["actuator"] = {"limits": {"u": [-40, 40]}}
+    with pytest.raises(InvalidSpec, match="no range of y is given: what it takes of the inputs, which have limits"):
+        design(load_spec(spec))
+    free = deepcopy(spec)
     free["system"]["A"] = [[0, 1], [0, -D / M]]
     found = design(load_spec(free)).claim(SetPoints).demand
     np.testing.assert_allclose([found.low[0], found.high[0]], [-(M * A + D * V), M * A + D * V], rtol=1e-12)
@@ -260,17 +284,15 @@ def test_a_range_is_asked_for_where_it_matters_and_only_there() -> None:
 
 def test_where_internal_states_may_take_more_it_is_said_and_not_refused() -> None:
     spec = load_spec(PLANTS["backlash"]() | {"name": "Backlash"})
-    limited = deepcopy(PLANTS["backlash"]())
-    limited["simulation"]["actuator"] = {"limits": {"u": [-5, 5]}}
-    limited = load_spec(limited)
-    controller = design(limited)
-    said = dict(rows(limited.words, controller))["set-points"]
+    less = load_spec(limited("backlash", 5))
+    controller = design(less)
+    said = dict(rows(less.words, controller))["set-points"]
     assert said.endswith(
         "N, as far as is proved: more than its limits; what is said of these is of the reference in the file"
     )
-    assert ("NOT proved", "limits with set-points at run time") in list(brief(limited.words, controller))
+    assert ("NOT proved", "limits with set-points at run time") in list(brief(less.words, controller))
     assert controller.claim(NoSaturation).room.left is not None
-    assert "whatever" not in " ".join(text for _, text in rows(limited.words, controller))
+    assert "whatever" not in " ".join(text for _, text in rows(less.words, controller))
     assert dict(brief(spec.words, design(spec))).get("NOT proved") is None
 
 
@@ -321,4 +343,11 @@ def test_a_run_folder_is_verified_and_its_controller_has_the_numbers(tmp_path: P
     spec.write_text(json.dumps(PLANTS["stop"]()), encoding="utf-8")
     run(spec, tmp_path / "run", [], None, simulated=False)
     said = verify(tmp_path / "run")
-    assert "set-points: whatever they are, u_ff is within -2.1 to 8.1" in " ".join(said)
+    (proved,) = (text for text in said if text.startswith("set-points: whatever they are, u_ff is within"))
+    ends = [float(v) for v in proved.split("within ")[1].split(" to ")]
+    stored = json.loads((tmp_path / "run" / "controller.json").read_text(encoding="utf-8"))
+    assert stored["program"]["outside"]["takes"] == [ends]
+    assert (
+        json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))["set_points"]["inputs"]["u"]["takes"]
+        == ends
+    )

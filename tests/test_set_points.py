@@ -61,14 +61,19 @@ def chain(degree: int, **changes: Any) -> dict[str, Any]:
 
 @cache
 def subject(degree: int) -> Subject:
-    return of_spec(load_spec(chain(degree)), given=True, steps=300)
+    """With a range that set-points of some tests are beyond."""
+    return of_spec(load_spec(chain(degree, range=[-0.05, 0.12])), given=True, steps=300)
 
 
-def program(degree: int, limits: Any, h: float, start: float = 0.0) -> SampledController:
+def program(degree: int, limits: Any, h: float, start: float = 0.0, ends: Any = (-np.inf, np.inf)) -> SampledController:
     """A program whose law is of no interest here: what it makes of set-points is."""
     found = runs(subject(degree).file, given=True)
     return replace(
-        found, pace=np.array([[start, *limits]]), sampling=replace(found.sampling, sample_time=h), K=0 * found.K
+        found,
+        pace=np.array([[start, *limits]]),
+        set_range=np.array([ends]),
+        sampling=replace(found.sampling, sample_time=h),
+        K=0 * found.K,
     )
 
 
@@ -130,6 +135,24 @@ def test_no_sequence_of_set_points_takes_a_derivative_beyond_its_limit(degree: i
             spread = 2 * limits[degree - 1] * h ** (degree - k) + (limits[k - 1] + limits[k] * h) * 1e-9
             assert np.abs(w[1:, k] - later).max() <= spread
     assert (used[:degree] > 0.99).all()
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
+def test_no_sequence_of_set_points_takes_it_out_of_its_range(degree: int) -> None:
+    """Set-points beyond it count as its ends: it is as if these were given, and y_d needs not be cut off there."""
+    random = np.random.default_rng(degree)
+    for _ in range(300):
+        limits, h, set_points = sequence(random, degree)
+        low, high = np.sort(random.uniform(-1, 1, 2) * np.abs(set_points).max())
+        low, high = min(low, 0.0) - 1e-9, max(high, 0.0) + 1e-9
+        made = Made(program(degree, limits[: max(degree, 3)], h, ends=(low, high)), set_points)
+        other = Made(program(degree, limits[: max(degree, 3)], h), np.clip(set_points, low, high))
+        assert made.w[:, 0].min() >= low
+        assert made.w[:, 0].max() <= high
+        assert (made.course == other.course).all()
+        V, A, J = limits[:3]
+        off = 1e-12 * (high - low) + (J * h**3 if degree > 3 else 2.0**-26 * min(V * h, A * h**2, J * h**3))
+        assert np.abs(made.w - other.w)[:, 0].max() <= off
 
 
 def optimum(D: float, V: float, A: float, J: float) -> float:
@@ -263,7 +286,9 @@ def test_a_cart_with_a_stop_follows_what_is_made_of_set_points() -> None:
 def test_the_program_is_the_page_in_every_bit(seed: int, degree: int, real: Any) -> None:
     random = np.random.default_rng(seed)
     limits, h, set_points = sequence(random, degree)
-    found = program(degree, limits[: max(degree, 3)], h, start=float(random.normal()))
+    start = float(random.normal())
+    ends = random.choice([0.01, 1, np.inf]) * np.abs(set_points).max() * np.array([-1, 1]) + start
+    found = program(degree, limits[: max(degree, 3)], h, start, ends)
     N = found.sizes["N"]
     kept, at, table = memory(found, np.zeros(N), np.zeros(0), real), found.places, routine(found, real)
     plain = Plain(found, np.zeros(N), [], real=real)
@@ -375,6 +400,7 @@ def test_what_it_cannot_be_for_is_refused(reference: Any, text: str) -> None:
 
 def test_a_stored_pace_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     known = subject(3).file.model_dump()
+    known["program"]["outside"]["range"] = []
     for pace in ([[0.0, 1.0, 1.0, 0.0]], [[0.0, 1.0, 1.0]], [[0.0, 1.0, 1.0, 1.0]] * 3):
         known["program"]["outside"]["pace"] = pace
         with pytest.raises(InvalidSpec, match=r"outside\.pace"):

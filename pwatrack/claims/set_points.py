@@ -8,8 +8,8 @@ import numpy as np
 
 from pwatrack.arrays import number_text
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.demand import Demand
 from pwatrack.control.headroom import Headroom
-from pwatrack.control.set_points import Demand
 from pwatrack.control.words import Words, down
 
 

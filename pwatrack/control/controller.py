@@ -15,13 +15,13 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.compensation import Compensation, compensation
+from pwatrack.control.demand import Demand
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.headroom import Headroom, SignalRoom
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
-from pwatrack.control.set_points import Demand
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import Words

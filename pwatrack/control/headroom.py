@@ -14,7 +14,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.bounds import Channel, Form
-from pwatrack.control.set_points import Demand
+from pwatrack.control.demand import Demand
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
@@ -208,7 +208,7 @@ class Headroom:
     def whatever_said(self, starts: Starts) -> str:
         """Say so of starts that are about no run: x_d of a run may begin otherwise than that of set-points."""
         about = self.whatever and starts.kind in ("exact", "sizes", "every")
-        return ", and ever whatever the set-points" * about
+        return ", whatever the set-points" * about
 
     @property
     def _taken(self) -> Peak | None:

@@ -16,7 +16,7 @@ for all of them, the cell is not reached.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import accumulate
@@ -27,8 +27,8 @@ from scipy.optimize import linprog
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
+from pwatrack.control.demand import Demand, Kept, exact
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.ellipsoid import Inner, InvariantEllipsoid, ellipsoid, from_start
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.normal_form import NormalForm
@@ -39,91 +39,7 @@ _LONG = 200  # bits of a number that is rather rounded
 _FLAT = 1e-12  # of the largest multiplier: what is less is rounding
 _MISSED = 1e-9  # of the terms of its rows: by how much a cell that is not reached is missed at least
 
-Ends = tuple[Fraction, Fraction]
 Form = tuple[BallMatrix, BallMatrix, BallMatrix]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Kept:
-    """What a reference keeps.
-
-    Attributes:
-        degrees: Relative degree of each output.
-        box: Between what each entry of v is: for one output after the other y_d and its derivatives below y_d⁽ʳ⁾, then
-            all y_d⁽ʳ⁾. None for a y_d of which that is not said.
-        start: (ξ_d, η̂) at first, where all is at rest.
-    """
-
-    degrees: tuple[int, ...]
-    box: tuple[Ends | None, ...]
-    start: tuple[Fraction, ...]
-
-    @classmethod
-    def of(cls, form: NormalForm, pace: Array, ends: Array, y: Array, eta: Array) -> "Kept":
-        """Return it of derivatives within ± pace (p, ≥ r) and outputs within ends (p, 2), from y (p,) and η̂ on."""
-        xi, last, first = list[Ends | None](), list[Ends | None](), list[float]()
-        for degree, limits, (low, high), at in zip(form.degrees, pace.tolist(), ends.tolist(), y.tolist(), strict=True):
-            own: list[Ends | None] = [(_exact(low), _exact(high)) if np.isfinite([low, high]).all() else None]
-            own += [(-_exact(limit), _exact(limit)) for limit in limits[:degree]]
-            xi, last, first = xi + own[:-1], last + own[-1:], [*first, at, *[0.0] * (degree - 1)]
-        return cls(degrees=form.degrees, box=(*xi, *last), start=tuple(map(_exact, [*first, *eta.tolist()])))
-
-    @property
-    def firsts(self) -> list[int]:
-        """Where each y_d is in the box."""
-        return [*accumulate(self.degrees[:-1], initial=0)]
-
-    @property
-    def centre(self) -> list[Fraction]:
-        """v_c; 0 where nothing is said."""
-        return [Fraction(0) if ends is None else (ends[0] + ends[1]) / 2 for ends in self.box]
-
-    @property
-    def widths(self) -> list[Fraction]:
-        """w, likewise."""
-        return [Fraction(0) if ends is None else (ends[1] - ends[0]) / 2 for ends in self.box]
-
-    def of_output(self, k: int) -> tuple[int, int]:
-        """Return of which output an entry of the box is, and which derivative."""
-        if k >= sum(self.degrees):
-            return k - sum(self.degrees), self.degrees[k - sum(self.degrees)]
-        output = max(j for j, first in enumerate(self.firsts) if first <= k)
-        return output, k - self.firsts[output]
-
-    def times(self, k: int, share: Fraction) -> "Kept":
-        """Return it with so much of one entry, on either side of where that starts."""
-        ends, at = self.box[k], self.start[k] if k < sum(self.degrees) else Fraction(0)
-        assert ends is not None
-        less = (at + (ends[0] - at) * share, at + (ends[1] - at) * share)
-        return replace(self, box=(*self.box[:k], less, *self.box[k + 1 :]))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Demand:
-    """Between what u_ff is for any reference that keeps its limits.
-
-    Attributes:
-        kept: What it keeps.
-        low, high: Of each input, (m,), rounded outward; infinite where that is not known.
-        missing: Why it is not known; "" where it is.
-        proof: What proves it, as a certificate has it.
-    """
-
-    kept: Kept
-    low: Array
-    high: Array
-    missing: str = ""
-    proof: Any = None
-
-    @classmethod
-    def unknown(cls, kept: Kept, inputs: int, missing: str) -> "Demand":
-        """Return that it is not known, and why."""
-        return cls(kept=kept, low=np.full(inputs, -np.inf), high=np.full(inputs, np.inf), missing=missing)
-
-    def beyond(self, limits: Array) -> list[tuple[int, int]]:
-        """Return where it is beyond limits (m, 2), if it is known: (input, 0 for its lower one)."""
-        over = np.column_stack([limits[:, 0] > self.low, self.high > limits[:, 1]])
-        return [] if self.missing else [(int(k), int(side)) for k, side in np.argwhere(over)]
 
 
 def demand(generator: TrajectoryGenerator, kept: Kept) -> Demand:
@@ -134,31 +50,13 @@ def demand(generator: TrajectoryGenerator, kept: Kept) -> Demand:
         return Demand.unknown(kept, m, missing)
     if form.eta_names:
         assert isinstance(generator.certificate, Certificate)
-        inner = Inner.proved(np.linalg.inv(generator.certificate.P), generator.rate)  # P of ΨᵀP + P Ψ ≺ 0
+        inner = Inner.proved(np.asarray(np.linalg.inv(generator.certificate.P)), generator.rate)  # P of ΨᵀP + P Ψ ≺ 0
     rows = cell_rows(form)
     rest = _at_rest(rows, kept)
     tube = None if rest is None else _tube(rows, kept, *rest, inner)
     if tube is None:
         return Demand.unknown(kept, m, "no ellipsoid was found that the internal states stay in")
     return tube.demand(rows, kept)
-
-
-def told(kept: Kept, content: Any, close: float) -> Demand:
-    """Return what a certificate proves, for what a reference keeps; its start follows from a simulation, to rounding.
-
-    Raises:
-        ValueError: If that is of another reference.
-    """
-    start = [float(number(v)) for v in content["start"]]
-    same = content["box"] == _box_texts(kept) and len(start) == len(kept.start)
-    if not same or not np.allclose(start, [float(v) for v in kept.start], rtol=close, atol=close):
-        raise ValueError("what set-points take is told of other set-points")
-    low, high = np.array([[float(number(v)) for v in ends] for ends in content["u_ff"]]).T
-    return Demand(kept=kept, low=low, high=high, proof=content)
-
-
-def _box_texts(kept: Kept) -> list[list[str] | None]:
-    return [None if ends is None else [text(v) for v in ends] for ends in kept.box]
 
 
 def not_tried(generator: TrajectoryGenerator, kept: Kept) -> str:
@@ -214,7 +112,7 @@ def _at_rest(rows: Sequence[Form], kept: Kept) -> tuple[int, list[Fraction]] | N
         except ZeroDivisionError:
             continue
         if any(v.numerator.bit_length() + v.denominator.bit_length() > _LONG for v in found):
-            found = [_exact(float(v)) for v in found]
+            found = [exact(float(v)) for v in found]
         at = inside @ _column([*kept.centre[:r], *found, *[0] * p, 1])
         at = at.centre if at.radius is None else at.centre - at.radius
         depth = min((float(fraction_of(v)) for v in at.entries()), default=np.inf)
@@ -303,11 +201,11 @@ def _tube(rows: Sequence[Form], kept: Kept, cell: int, eta: list[Fraction], inne
         found = (from_start if of == "start" else ellipsoid)(matrices, column, forms, [] if inner is None else [inner])
         if found is None:
             return None
-        above_ = [_exact(np.nextafter(each, np.inf)) for each in found.sizes]  # whose decimals are not below it
+        above_ = [exact(np.nextafter(each, np.inf)) for each in found.sizes]  # whose decimals are not below it
         sizes = [total + each * size for total, each in zip(sizes, above_, strict=True)]
         parts.append({"of": of, "k": k, "sizes": [text(v) for v in above_]} | _stored(found))
     proof = {
-        "box": _box_texts(kept),
+        "box": kept.texts,
         "start": [text(v) for v in kept.start],
         "cell": cell,
         "centre": [text(v) for v in eta],
@@ -333,7 +231,7 @@ def _forms(rows: Sequence[Form], S: BallMatrix, z: range) -> BallMatrix:
 
 def _stored(found: InvariantEllipsoid) -> dict[str, Any]:
     Q = {"integers": [list(row) for row in found.integers], "exponents": list(found.exponents)}
-    return {"a": text(_exact(found.a)), "Q": Q}
+    return {"a": text(exact(found.a)), "Q": Q}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -376,7 +274,7 @@ class _Tube:
             cells.append(found)
         ends = [(-max(low), max(high)) for low, high in most]
         low, high = (np.array([_outward(pair[side], side) for pair in ends]) for side in (0, 1))
-        u_ff_ends = [[text(_exact(a)), text(_exact(b))] for a, b in zip(low, high, strict=True)]
+        u_ff_ends = [[text(exact(a)), text(exact(b))] for a, b in zip(low, high, strict=True)]
         return Demand(kept=kept, low=low, high=high, proof=self.proof | {"cells": cells, "u_ff": u_ff_ends})
 
     def _weights(self, row: BallMatrix, bounds: BallMatrix) -> list[float]:
@@ -400,7 +298,7 @@ class _Tube:
         rows = np.column_stack([-active[:, :-1] * scale / size[:, None], -np.ones(len(active))])
         ends = [*[(-1.0, 1.0)] * len(scale), (0.0, None)]
         least = linprog(np.eye(1, len(ends), len(ends) - 1)[0], A_ub=rows, b_ub=active[:, -1] / size, bounds=ends)
-        if least.status != 0 or least.fun < _MISSED:
+        if least.status != 0 or not least.fun or least.fun < _MISSED:
             return None
         weights = _short(-least.ineqlin.marginals / size)
         nothing = zero(1, bounds.shape[1])
@@ -411,7 +309,7 @@ def largest(row: BallMatrix, weights: Sequence[float], bounds: BallMatrix, width
     """Return what c x + γ is at most where all bounds R x + ρ ≥ 0 and |x| ≤ widths, by weights λ ≥ 0 of these."""
     total = row
     if weights:
-        total = row + BallMatrix.of([[_exact(v) for v in weights]]) @ bounds
+        total = row + BallMatrix.of([[exact(v) for v in weights]]) @ bounds
     values = _sizes(total)
     constant = fraction_of(total.centre.entries()[-1])
     return constant + (values[-1] - abs(constant)) + _total(values[:-1], widths)
@@ -419,23 +317,19 @@ def largest(row: BallMatrix, weights: Sequence[float], bounds: BallMatrix, width
 
 def _short(weights: Array) -> list[float]:
     """Return multipliers without what is rounding."""
-    return np.where(weights > _FLAT * np.abs(weights).max(initial=0.0), weights, 0.0).tolist()
+    found: list[float] = np.where(weights > _FLAT * np.abs(weights).max(initial=0.0), weights, 0.0).tolist()
+    return found
 
 
 def _texts(weights: Sequence[float]) -> list[str]:
-    return [text(_exact(v)) for v in weights]
+    return [text(exact(v)) for v in weights]
 
 
 def _outward(value: Fraction, side: int) -> float:
     """Return a double that is not above (side 0) or not below a number."""
     near, to = float(value), (-np.inf, np.inf)[side]
-    within = _exact(near) <= value if side == 0 else _exact(near) >= value
+    within = exact(near) <= value if side == 0 else exact(near) >= value
     return near + 0.0 if within else float(np.nextafter(near, to))
-
-
-def _exact(value: float) -> Fraction:
-    """Return a double as the decimal that it prints as."""
-    return Fraction(repr(float(value)))
 
 
 def _column(values: Sequence[Any]) -> BallMatrix:

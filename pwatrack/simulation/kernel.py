@@ -1185,10 +1185,10 @@ def _smooth(routine: ControllerArrays, memory: Array, room: Array, channel: int,
 
 @_as_written
 def _keep(routine: ControllerArrays, room: Array, channel: int, place: int) -> None:
-    """Cut a set-point, or what is made of it, off at the ends of its range, where it has one."""
-    if routine.lowest[channel] > -np.inf and room[place] < routine.lowest[channel]:
+    """Cut a finite set-point, or what is made of it, off at the ends of its range, where it has one."""
+    if routine.lowest[channel] > -np.inf and np.isfinite(room[place]) and room[place] < routine.lowest[channel]:
         room[place] = routine.lowest[channel]
-    if routine.highest[channel] < np.inf and room[place] > routine.highest[channel]:
+    if routine.highest[channel] < np.inf and np.isfinite(room[place]) and room[place] > routine.highest[channel]:
         room[place] = routine.highest[channel]
 
 
@@ -1243,6 +1243,15 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
             room[at.made + order] = part / routine.timing[0]
     for nth in range(degree - 3):
         _smooth(routine, memory, room, channel, nth)
+    _within(routine, room, channel, degree)
+    for k in range(3):
+        room[at.course + 4 * channel + k] = room[at.going + k]
+
+
+@_as_written
+def _within(routine: ControllerArrays, room: Array, channel: int, degree: int) -> None:
+    """Write y_d and its derivatives at room[made:] to w, cut off at their limits."""
+    at = routine.at
     room[at.w + channel] = room[at.made]
     _keep(routine, room, channel, at.w + channel)
     for order in range(1, degree + 1):
@@ -1252,8 +1261,6 @@ def _follow(routine: ControllerArrays, memory: Array, room: Array, given: Array,
         if value < -routine.pace[channel, order]:
             value = -routine.pace[channel, order]
         room[at.w + order * len(routine.pace) + channel] = value
-    for k in range(3):
-        room[at.course + 4 * channel + k] = room[at.going + k]
 
 
 @_as_written

@@ -8,9 +8,9 @@ import numpy as np
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.bounds import state_rows
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.demand import Demand
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.headroom import OFF, Headroom, Peak, SignalRoom, Starts
-from pwatrack.control.set_points import Demand
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
 from pwatrack.lmi.exact import Certificate

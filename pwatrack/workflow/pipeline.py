@@ -9,6 +9,7 @@ from pwatrack.arrays import Array
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import proved
 from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.demand import Demand
 from pwatrack.control.goal import Given
 from pwatrack.control.headroom import Headroom, InputConstraint
 from pwatrack.control.modes import check_loads
@@ -16,7 +17,6 @@ from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.set_points import Demand
 from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking

@@ -6,9 +6,10 @@ from typing import Any
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.claims.exact_text import CLOSE
+from pwatrack.control.demand import Demand, Kept, told
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.program import PACE
-from pwatrack.control.set_points import Demand, Kept, demand, not_tried, told, unsaid
+from pwatrack.control.set_points import demand, not_tried, unsaid
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
 from pwatrack.spec.spec import Spec

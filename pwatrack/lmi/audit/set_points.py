@@ -40,7 +40,7 @@ class Row(NamedTuple):
         return [abs(v) + r for v, r in zip(*self, strict=True)]
 
 
-class Kept:
+class ToldSetPoints:
     """What is told of set-points, for a plant in its normal form."""
 
     def __init__(self, content: Any, plant: AuditedPlant, generator: Any) -> None:
@@ -145,7 +145,7 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
     """Return what is wrong with the intervals of the inputs for all set-points, and what they claim."""
     if content is None:
         return [], []
-    kept = Kept(content, loop.plant, whole["generator"])
+    kept = ToldSetPoints(content, loop.plant, whole["generator"])
     faults = list[str]()
     for k in kept.open:
         unlike_cells = kept.cells if len(kept.cells) > 1 else [(*cell[:2], list[Row]()) for cell in kept.cells]
@@ -157,7 +157,7 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
     return [f"set-points: {fault}" for fault in faults], [f"set-points: whatever they are, u_ff is within {ends}"]
 
 
-def bounded(kept: Kept, parts: Any, cell: int) -> tuple[list[Fraction], list[str]]:
+def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction], list[str]]:
     """Return what all rows of z are at most, by the ellipsoids of what drives it; and what is wrong with these."""
     faults, q, width = list[str](), kept.q, len(kept.widths)
     point = [*kept.middle[: kept.r], *kept.eta, *[Fraction(0)] * kept.p, Fraction(1)]
@@ -183,7 +183,7 @@ def bounded(kept: Kept, parts: Any, cell: int) -> tuple[list[Fraction], list[str
     return totals, faults if q else []
 
 
-def drives(kept: Kept, rates: list[list[Row]], cell: int) -> Any:
+def drives(kept: ToldSetPoints, rates: list[list[Row]], cell: int) -> Any:
     """Yield what drives z: each entry of v, as in one cell; by how much more others are; the start."""
     own, q, one = rates[cell], range(kept.q), Fraction(1)
     for k, w in enumerate(kept.widths):
@@ -219,7 +219,7 @@ def stays(matrices: list[Ball], column: Ball, part: Any, *, start: bool) -> bool
     return all(falls(Ball(added(X, half), R), Q, powers, square, open_) for X, R in matrices)
 
 
-def intervals(kept: Kept, content: Any, sizes: list[Fraction]) -> list[str]:
+def intervals(kept: ToldSetPoints, content: Any, sizes: list[Fraction]) -> list[str]:
     """Return what is wrong with the intervals: multipliers say how far u_ff goes in each cell."""
     widths, faults = [*kept.widths, *sizes[: kept.q]], list[str]()
     count, ends, zero = len(kept.cells[0][0]), matrix(content["u_ff"]), [Fraction(0)] * len(kept.widths)
