@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, ClassVar
 
 import numpy as np
@@ -103,4 +104,5 @@ class SetPoints(Claim):
 
 def _outward(value: float, side: int) -> str:
     """Return a number in four digits that is not above (side −1) or not below it."""
-    return number_text(-float(down(-value)) if side > 0 else float(down(value)), ".4g")
+    rounding = ROUND_CEILING if side > 0 else ROUND_FLOOR
+    return number_text(float(Context(prec=4, rounding=rounding).create_decimal(repr(value))), ".4g")

@@ -36,6 +36,7 @@ from pwatrack.rational import fraction_of
 
 MOST_CELLS = 100  # each takes some linear programs, and is in the certificate with all its matrices
 _LONG = 200  # bits of a number that is rather rounded
+_DIGITS = 12  # of a multiplier that may be meant to be a short number
 _FLAT = 1e-12  # of the largest multiplier: what is less is rounding
 _MISSED = 1e-9  # of the terms of its rows: by how much a cell that is not reached is missed at least
 
@@ -268,8 +269,8 @@ class _Tube:
             for k in range(m):
                 for side, name in enumerate(found):
                     row = (u_ff.part([k], range(u_ff.shape[1])) @ self.S).times(Fraction(2 * side - 1))
-                    weights = self._weights(row, bounds)
-                    most[k][side].append(largest(row, weights, bounds, self.widths))
+                    far, weights = min((largest(row, w, bounds, self.widths), w) for w in self._weights(row, bounds))
+                    most[k][side].append(far)
                     found[name].append(_texts(weights))
             cells.append(found)
         ends = [(-max(low), max(high)) for low, high in most]
@@ -277,16 +278,20 @@ class _Tube:
         u_ff_ends = [[text(exact(a)), text(exact(b))] for a, b in zip(low, high, strict=True)]
         return Demand(kept=kept, low=low, high=high, proof=self.proof | {"cells": cells, "u_ff": u_ff_ends})
 
-    def _weights(self, row: BallMatrix, bounds: BallMatrix) -> list[float]:
-        """Return λ for which the bound of a row in a cell is least, about; 0 where that is not found."""
+    def _weights(self, row: BallMatrix, bounds: BallMatrix) -> list[list[float]]:
+        """Return λ for which the bound of a row in a cell is least, about, and the same in fewer digits; and 0."""
         c, scale, active = row.floats[0, :-1], np.array([float(w) for w in self.widths]), bounds.floats
         if not len(active):
-            return []
+            return [[]]
         rows, size = active[:, :-1] * scale, np.abs(active) @ np.append(scale, 1.0)
         size[size == 0] = 1.0
         unit = float(np.abs(c * scale).sum()) or 1.0
         found = linprog(-c * scale / unit, A_ub=-rows / size[:, None], b_ub=active[:, -1] / size, bounds=(-1, 1))
-        return _short(-found.ineqlin.marginals * unit / size) if found.status == 0 else [0.0] * len(active)
+        nothing = [0.0] * len(active)
+        if found.status != 0:
+            return [nothing]
+        weights = _short(-found.ineqlin.marginals * unit / size)
+        return [nothing, [float(f"{v:.{_DIGITS}g}") for v in weights], weights]
 
     def _unmet(self, bounds: BallMatrix) -> list[float] | None:
         """Return λ ≥ 0 that shows that not all rows are positive anywhere in the box; None where they may be."""

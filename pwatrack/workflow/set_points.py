@@ -11,6 +11,7 @@ from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.program import PACE
 from pwatrack.control.set_points import demand, not_tried, unsaid
 from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.control.words import down
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.starting import generator_start
@@ -64,13 +65,13 @@ def _kept(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenera
 
 def _check(spec: Spec, generator: TrajectoryGenerator, found: Demand, limits: Array) -> None:
     """Refuse what may be beyond a limit of an input, with what limits of the set-points would do."""
-    problems, names = list[Problem](), spec.problem.plant.inputs
-    for k, side in found.beyond(limits):
+    problems, names, beyond = list[Problem](), spec.problem.plant.inputs, found.beyond(limits)
+    would = _would_do(spec, generator, found.kept, limits) if beyond else ()
+    for k, side in beyond:
         unit, ends = spec.problem.units.get(names[k], ""), (found.low, found.high)[side]
         needed, limit = (f"{number_text(float(v), '.4g')} {unit}".rstrip() for v in (ends[k], limits[k, side]))
         way = "above its upper" if side else "below its lower"
         message = f"set-points may take {names[k]} = {needed}, {way} limit, {limit}"
-        would = _would_do(spec, generator, found.kept, limits)
         hint = (
             f"it is within with {' or '.join(would)}" if would else "no limit of them by itself would do: lower several"
         )
@@ -89,6 +90,8 @@ def _would_do(spec: Spec, generator: TrajectoryGenerator, kept: Kept, limits: Ar
         for _ in range(_HALVINGS):
             share = (low + high) / 2
             low, high = (low, share) if demand(generator, kept.times(k, share)).beyond(limits) else (share, high)
+        if not low:
+            continue  # only if it is 0, which no limit may be
         output, order = kept.of_output(k)
         less = kept.times(k, low).box[k]
         assert less is not None
@@ -96,14 +99,8 @@ def _would_do(spec: Spec, generator: TrajectoryGenerator, kept: Kept, limits: Ar
         name = f" of {outputs[output]}" * (len(outputs) > 1)
         if order:
             per = f" {unit}/s{order if order > 1 else ''}" if unit else ""
-            found.append((float(low), f"{PACE[order - 1]}{name} {number_text(_down(less[1]), '.4g')}{per}"))
+            found.append((float(low), f"{PACE[order - 1]}{name} {down(float(less[1]))}{per}"))
         else:
-            lower, upper = (number_text(float(v), ".4g") for v in less)
+            lower, upper = number_text(-float(down(-float(less[0]))), ".4g"), down(float(less[1]))
             found.append((float(low), f"range{name} [{lower}, {upper}]"))
     return [text for _, text in sorted(found, reverse=True)]
-
-
-def _down(value: Fraction) -> float:
-    """Return a number in four digits that is not larger, of a positive one."""
-    shown = float(f"{float(value):.4g}")
-    return shown if shown <= value else float(f"{float(value) * (1 - 5e-4):.4g}") if value else 0.0
