@@ -23,7 +23,6 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
@@ -280,6 +279,8 @@ class _Tube:
 
     def _weights(self, row: BallMatrix, bounds: BallMatrix) -> list[list[float]]:
         """Return λ for which the bound of a row in a cell is least, about, and the same in fewer digits; and 0."""
+        from scipy.optimize import linprog
+
         c, scale, active = row.floats[0, :-1], np.array([float(w) for w in self.widths]), bounds.floats
         if not len(active):
             return [[]]
@@ -295,6 +296,8 @@ class _Tube:
 
     def _unmet(self, bounds: BallMatrix) -> list[float] | None:
         """Return λ ≥ 0 that shows that not all rows are positive anywhere in the box; None where they may be."""
+        from scipy.optimize import linprog
+
         active, scale = bounds.floats, np.array([float(w) for w in self.widths])
         if not len(active):
             return None
