@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
+from typer.testing import Result
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.claims.sampled_bounds import SampledBounds
