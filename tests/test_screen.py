@@ -109,7 +109,7 @@ def test_where_the_sampled_loop_is_bounded_that_is_what_is_said_in_the_end(tmp_p
     assert declared(spec, made)["noise", 0] == pytest.approx(0.0605)  # and half a step
     said = assessed(spec, made)
     assert said.ends == made.claim(SampledBounds).ends_below(made)
-    assert said.condition == "under noise, steps, disturbance"  # not with other parameters, or limits
+    assert said.condition == "under noise, quantisation, disturbance"  # not with other parameters, or limits
 
 
 def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_warned_of(tmp_path: Path) -> None:
@@ -177,6 +177,9 @@ def test_specs_of_the_repository_have_small_first_screens(specs: Path, tmp_path:
     assert any(line.startswith(("ideal loop  proved", "as sampled  proved")) for line in run.stdout.splitlines())
 
 
+IDEAL = "without sampling, limits, noise"
+
+
 def title(run: Result) -> str:
     return run.stdout.splitlines()[0]
 
@@ -184,9 +187,9 @@ def title(run: Result) -> str:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ("", "Stage: tracks; an ideal model"),
+        ("", "Stage: tracks; without sampling, limits, noise"),
         ("require: {final_error: 1e-30}\n", "Stage: NOT READY: 1 of 1 requirements missed"),
-        ("  actuator: {limits: {u: [-90, 90]}}\n", "Stage: tracks; no sampling, no noise in the file"),
+        ("  actuator: {limits: {u: [-90, 90]}}\n", "Stage: tracks; without sampling, noise"),
         (MUCH.replace("0.02", "1e-6").replace("0.2,", "1e-6,"), "Stage: tracks; partly proved"),
     ],
 )
@@ -198,7 +201,7 @@ def test_the_title_says_the_worst_first(tmp_path: Path, more: str, said: str) ->
 
 def test_an_error_that_is_as_required_is_no_failure_though_it_is_off(tmp_path: Path) -> None:
     other = "  plant: {parameters: {k: 80}}\n"
-    for wish, said in (("", "off; an ideal model"), ("require: {final_error: 1}\n", "as required; an ideal model")):
+    for wish, said in (("", "NOT READY: error above 1 %"), ("require: {final_error: 1}\n", f"as required; {IDEAL}")):
         path = stage(tmp_path, more=other + wish)
         path.write_text(path.read_text().replace("d: 0.5", "d: 40"))
         assert title(call("simulate", path, "--out", tmp_path / "out")) == f"Stage: {said}"

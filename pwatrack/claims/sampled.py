@@ -150,9 +150,7 @@ class SampledLoop(Claim):
             at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
-            every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
-            said = f"proved off the limits, every {every} s: time constant {constant} s"
-            yield "as sampled", said
+            yield "as sampled", f"proved while no input is at a limit: time constant {up(1 / self.rate)} s"
         yield "K, M", in_a_line(words, self.gains.K, "M", self.gains.M, "K and M are in run.json, under sampled")
 
 
