@@ -32,36 +32,23 @@ Segment = tuple[int, int, int]  # the knots that it joins, and the one of them t
 
 @dataclass(frozen=True)
 class Forms:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        P: At the knots, (n, n) each.
-        rate: That they seem to prove, in 1/s.
-    """
-
-    P: list[Array]
-    rate: float
+    P: list[Array]  # at the knots, (n, n) each
+    rate: float  # that they seem to prove, in 1/s
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockedForms:
-    """The program for one system.
+    """The program for one system."""
 
-    Attributes:
-        F: Vertices of what z obeys between ticks, (v, n, n).
-        J: Those of what a tick makes of it, (w, n, n).
-        R: What the end of a part of the period makes of it, (n, n).
-        parts, knots, period: As in `clocked`.
-        near: A form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates.
-    """
-
-    F: Array
-    J: Array
-    R: Array
-    parts: int
+    F: Array  # vertices of what z obeys between ticks, (v, n, n)
+    J: Array  # those of what a tick makes of it, (w, n, n)
+    R: Array  # what the end of a part of the period makes of it, (n, n)
+    parts: int  # as in `clocked`, as the next two
     knots: int
     period: float
-    near: Array | None = None
+    near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
     _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def part(self, where: slice) -> "ClockedForms":

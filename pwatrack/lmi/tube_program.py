@@ -25,17 +25,11 @@ Segment = tuple[int, int, int]  # the knots that it joins, and the one of them t
 
 @dataclass(frozen=True, kw_only=True)
 class TubeProgram:
-    """Looks for tubes of one system; what the search for one finds out about vertices serves the next.
+    """Looks for tubes of one system; what the search for one finds out about vertices serves the next."""
 
-    Attributes:
-        system: What z obeys.
-        near: A form P_0 that is proved to fall, (n, n).
-        knots: Segments of each part.
-    """
-
-    system: Clocked
-    near: Array
-    knots: int
+    system: Clocked  # what z obeys
+    near: Array  # a form P_0 that is proved to fall, (n, n)
+    knots: int  # segments of each part
     _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def smallest(
