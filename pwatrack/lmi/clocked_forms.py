@@ -5,10 +5,11 @@ in what a form loses in a period at the largest rate. Of many vertices few decid
 not satisfy are added, until all are satisfied.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_lyapunov
@@ -17,7 +18,7 @@ from pwatrack.arrays import Array, balancing
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.margin_program import MarginProgram
 
-_ALL = 8  # vertices up to which all are asked for at once
+_FIRST = 8  # vertices that are asked for at first, at each end of a segment; of fewer all
 _WORST = 4  # vertices that are added for each end of a segment where some are not satisfied
 _ROUNDS = 12  # in which vertices are added
 _HELD = 0.02  # of the margin that was found: what every other vertex is to keep
@@ -27,6 +28,7 @@ _NEAR = 0.05  # share of the largest rate up to which it is looked for
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
 _OF_P = 0.01  # share of the margin that P_k ⪰ 0 is to keep
 
+Found = TypeVar("Found")
 Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
 
 
@@ -49,7 +51,7 @@ class ClockedForms:
     knots: int
     period: float
     near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
-    _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
+    asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def part(self, where: slice) -> "ClockedForms":
         """Return the program for some entries of z, as if there were no others."""
@@ -105,25 +107,41 @@ class ClockedForms:
         """Return forms that satisfy all inequalities at a rate with the largest margin, or None."""
         if rate >= self.most:
             return None
-        L, asked = self.coordinates, self._asked
+        L = self.coordinates
         back, weight = np.linalg.inv(L), np.eye(len(L)) * min(1.0, 2 * self.most * self.period)
         F, J, R = (L @ X @ back for X in (self.F + rate * np.eye(len(L)), self.J, self.R))
-        first = range(len(F)) if len(F) <= _ALL else np.unique(np.linspace(0, len(F) - 1, _ALL).astype(int)).tolist()
+        found = self.of_few(
+            lambda: self._solved(F, J, R, weight),
+            lambda found, s: _least(self.left(found[0], s, F) - _HELD * found[1] * self.share * weight),
+            _WORST,
+        )
+        if found is None:
+            return None
+        forms = [L.T @ P_k @ L for P_k in found[0]]
+        return Forms(forms, self.rate(forms))
+
+    def of_few(
+        self, solved: Callable[[], Found | None], least: Callable[[Found, Segment], Array], worst: int
+    ) -> Found | None:
+        """Return what is found for the vertices that are asked for and does for all, or None.
+
+        Those that it does for the least, so many at each end of a segment, are asked for, too: `least` is what is left
+        of the inequality of each vertex there.
+        """
+        first = np.unique(np.linspace(0, len(self.F) - 1, _FIRST).astype(int)).tolist()
         for segment in self.segments:
-            asked.setdefault(segment, list(first))
+            self.asked.setdefault(segment, list(first))
         for _ in range(_ROUNDS):
-            found = self._solved(F, J, R, weight)
+            found, added = solved(), 0
             if found is None:
                 return None
-            P, margin = found
-            least = {s: _least(self.left(P, s, F) - _HELD * margin * self.share * weight) for s in self.segments}
-            wanted = {s: [i for i in np.argsort(v)[:_WORST].tolist() if v[i] < 0] for s, v in least.items()}
-            added = {s: [i for i in new if i not in asked[s]] for s, new in wanted.items()}
-            if not any(added.values()):
-                forms = [L.T @ P_k @ L for P_k in P]
-                return Forms(forms, self.rate(forms))
-            for s, new in added.items():
-                asked[s] += new
+            for segment, asked in self.asked.items():
+                left = least(found, segment)
+                new = [i for i in np.argsort(left)[:worst].tolist() if left[i] < 0 and i not in asked]
+                asked += new
+                added += len(new)
+            if not added:
+                return found
         return None
 
     def fastest(self, most: float, looks: int) -> tuple[float, Forms] | None:
@@ -191,7 +209,7 @@ class ClockedForms:
             program.add({k: less}, _OF_P * weight)
         for before, after, X, share in self.jumps(J, R):
             program.add({before: less, after: (X.T / 2, X)}, share * weight)
-        for segment, vertices in self._asked.items():
+        for segment, vertices in self.asked.items():
             k, after, e = segment
             for i in vertices:
                 terms = {k: less, after: more}

@@ -29,7 +29,6 @@ class MarginProgram:
     def __init__(self, n: int, count: int) -> None:
         self.n, self.count, self.size = n, count, n * (n + 1) // 2
         self.basis = symmetric_of(np.eye(self.size), n)  # of size 1 each
-        self.eye = np.eye(self.size)
         self.less, self.more = (-np.eye(n) / 2, np.eye(n)), (np.eye(n) / 2, np.eye(n))  # −P and P
         self.bounds: list[Bound] = []
 
@@ -37,14 +36,6 @@ class MarginProgram:
         """Return the matrix of P ↦ L P R + Rᵀ P Lᵀ."""
         half = L @ self.basis @ R
         return upper(half + half.transpose(0, 2, 1)).T
-
-    def congruence(self, J: Array) -> Array:
-        """Return the matrix of P ↦ Jᵀ P J."""
-        return self.image(J.T / 2, J)
-
-    def lyapunov(self, F: Array) -> Array:
-        """Return the matrix of P ↦ Fᵀ P + P F."""
-        return self.image(F.T, np.eye(self.n))
 
     def add(self, terms: Mapping[int, Term], T: Array) -> None:
         """Ask for Σ (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T ⪯ 0, with L and R of each k."""
