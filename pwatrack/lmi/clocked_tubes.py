@@ -38,36 +38,22 @@ _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalit
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """How a scalar acts: between ticks or at them.
+    """How a scalar acts: between ticks or at them."""
 
-    Attributes:
-        held: E, (n, 1): beside what of z.
-        between: G, (n, 1).
-        ticks: Γ, (n, 1); None where it acts between ticks.
-    """
-
-    held: BallMatrix
-    between: BallMatrix
-    ticks: BallMatrix | None = None
+    held: BallMatrix  # E, (n, 1): beside what of z
+    between: BallMatrix  # G, (n, 1)
+    ticks: BallMatrix | None = None  # Γ, (n, 1); None where it acts between ticks
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tube:
-    """Q_0 … Q_N ≻ 0 of each part that satisfy the inequalities above, proved exactly, and c Q_k cᵀ ≤ size² for rows c.
+    """Q_0 … Q_N ≻ 0 of each part that satisfy the inequalities above, proved exactly; c Q_k cᵀ ≤ size² for rows c."""
 
-    Attributes:
-        Q: At the knots, those of the first part first.
-        a: In 1/s, a short decimal; 0 where d acts at ticks.
-        b: A short decimal; 0 where d acts between ticks.
-        sizes: One for each c, rounded up.
-        summed: Whether it is one of what is summed.
-    """
-
-    Q: tuple[Packed, ...]
-    a: float
-    b: float
-    sizes: tuple[float, ...]
-    summed: bool = False
+    Q: tuple[Packed, ...]  # at the knots, those of the first part first
+    a: float  # in 1/s, a short decimal; 0 where d acts at ticks
+    b: float  # a short decimal; 0 where d acts between ticks
+    sizes: tuple[float, ...]  # one for each c, rounded up
+    summed: bool = False  # whether it is one of what is summed
 
     def spread(self, rows: Array) -> Array:
         """Return max_k (c Q_k cᵀ)^½ for other rows c, (s, n), in floating point, a little more."""
