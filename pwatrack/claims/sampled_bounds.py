@@ -22,7 +22,7 @@ from pwatrack.ball_matrix import above
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row
@@ -260,7 +260,7 @@ def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[Clocked
         if loop.proof is not None and asked.acting is not None:
             merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
             deviations = [(merge.column, float(np.nextafter(float(merge.largest), np.inf))) for merge in merged]
-            errors = SampledErrors.of(controller.plant, loop.gains, deviations)
+            errors = replace(errors_of(controller, loop.gains), deviations=deviations)
             acts = asked.acting(controller, errors)
             if acts is not None:
                 yield loop.proof, errors, acts

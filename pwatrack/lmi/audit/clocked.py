@@ -34,7 +34,8 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
         raise AuditFault("the forms of the sampled loop are not those of its knots")
     runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
     faults = [] if all(definite(P) for P, _ in forms) else ["a form is not positive definite"]
-    faults += [] if shrinks(errors.tick, runs[0][0], runs[-1][-1]) else ["a tick makes its form grow"]
+    jumps = (shrinks(tick, runs[0][0], runs[-1][-1]) for tick in errors.ticks)
+    faults += [] if all(jumps) else ["a tick makes its form grow"]
     ends = (shrinks(errors.substep, after[0], before[-1]) for before, after in pairwise(runs))
     faults += [] if all(ends) else ["the end of a substep makes its form grow"]
     turned = [Ball(added(F.T.centre, identity(errors.order, rate)), F.T.radius) for F in errors.flows]
