@@ -15,13 +15,16 @@ from flint import fmpq
 from scipy.linalg import expm
 from scipy.optimize import nnls
 
-from pwatrack import Spec, design, load_spec
+from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, absolute
 from pwatrack.claims.sampled import SampledLoop, errors_of
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.estimated_loads import OnEstimates, integrals
 from pwatrack.control.program import program
+from pwatrack.control.sampled_disturbances import Acting, row
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.lmi.audit.balls import Ball
@@ -36,7 +39,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import rational
 from pwatrack.report.certificate import design_certificate
 from tests.plain import Plain
-from tests.sampled import asking, form_at, integrated, predicted, with_sampled
+from tests.sampled import asking, form_at, integrated, predicted, with_sampled, worst_found
 
 LEANING = """
 name: a mass with friction, a belt that drifts, and a tank beside it that somebody fills
@@ -318,6 +321,87 @@ def test_a_forged_proof_is_refused(what: str, certified: tuple[str, dict[str, An
     faults = audit(json.dumps(content))[1]
     assert faults
     assert not any(fault.startswith("not a certificate") for fault in faults), faults
+
+
+@pytest.fixture(scope="module")
+def bounded(loaded: tuple[str, Spec, ProvedController]) -> tuple[Spec, ProvedController, SampledBounds]:
+    """With tubes of disturbances and noise of size 1."""
+    _, spec, controller = loaded
+    found, _ = proved(spec, controller, gains_of(controller, 0.02))
+    asked = replace(asking(spec, found, found.claim(SampledLoop).gains), acting=of_size_one)
+    (bounds,) = SampledBounds.prove(found, asked)
+    return spec, replace(found, claims=(*found.claims, bounds)), bounds
+
+
+def of_size_one(controller: ProvedController, _: object) -> Acting:
+    plant = controller.plant
+    channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
+    channels += [("noise", k) for k in range(len(plant.C))]
+    near = np.zeros((1, len(plant.partition.H)))
+    return Acting(squares={of: np.ones(1) for of in channels}, means={}, beside={}, planes=plant.partition.H, near=near)
+
+
+def test_no_switching_is_above_a_tube(bounded: tuple[Spec, ProvedController, SampledBounds]) -> None:
+    """Of what acts at its worst, with what is held and what drives it at ticks switched together."""
+    _, controller, bounds = bounded
+    assert len(bounds.tubes) == len(controller.plant.B) + len(controller.plant.C)
+    for channel, (one, *_) in bounds.tubes.items():
+        c, size = row(bounds.errors, (controller.tracking, 0)).floats, one.sizes[0]
+        found = max(worst_found(bounds, channel, c, seed) for seed in range(20))
+        assert 0.05 * size < found <= size
+
+
+SMALLER: dict[str, Callable[[Any], Any]] = {
+    "a smaller bound": lambda tube: tube["signals"][0].__setitem__(2, "1e-3"),
+    "another b": lambda tube: tube.update(b="0.9"),
+    "of what acts elsewhere": lambda tube: tube.update(channel=["disturbance", 0], a=tube["b"], b="0"),
+    "knots that are missing": lambda tube: tube["Q"].pop(),
+    "a smaller Q": lambda tube: tube["Q"][0]["integers"][0].__setitem__(0, "1"),
+}
+
+
+def test_the_auditor_agrees_with_tubes_and_refuses_forged_ones(
+    bounded: tuple[Spec, ProvedController, SampledBounds],
+) -> None:
+    spec, controller, bounds = bounded
+    content = json.loads(json.dumps(design_certificate(spec, controller)))
+    for channel in bounds.tubes:  # one by one: a small file may not ask for much
+        (tube,) = [one for one in content["sampled_bounds"] if one["channel"] == list(channel)]
+        said, faults = audit(json.dumps(content | {"sampled_bounds": [tube]}))
+        assert not faults
+        assert "the sampled loop: what 1 disturbances, noises and inputs leave is proved" in said
+        for change in SMALLER.values() if channel == ("noise", 0) else ():
+            forged = copy.deepcopy(tube)
+            change(forged)
+            faults = audit(json.dumps(content | {"sampled_bounds": [forged]}))[1]
+            assert faults
+            assert "steps" not in faults[0]
+
+
+def test_a_run_with_constants_between_inputs_stays_within_its_bound(tmp_path: Path) -> None:
+    """E = B U, and no column of E is one of B: x_d is given, and what acts in the run is known."""
+    text = HUMMING.replace("{v: 1, z: 1}, frequency: 3", "{v: 5, z: 1}").replace(
+        "duration: 1, sample_time: 0.05}", "duration: 4, MACHINE}"
+    )
+    machine = (
+        "sample_time: 0.05, controller: {sample_time: 0.05}, disturbance: {v: {constant: 0.3}, z: {constant: 0.1}}"
+    )
+    machine += ", noise: {std: {y: 1e-4}, sample_time: 0.05, seed: 1}"
+    spec, controller = designed(text.replace("MACHINE", machine).replace(", pull: {into: {v: 3}}", ""), tmp_path)
+    errors, bounds = controller.claim(SampledBounds).errors, controller.claim(SampledBounds)
+    assert errors.estimates is not None
+    assert len(errors.widths) == 6
+    assert ("noise", 0) in bounds.tubes
+    run = simulate(spec, controller)
+    assert run.outcome.kind != "above its bound"
+    assert bounds.ends_below(controller)["state", 0] > 0
+    assert not audit(json.dumps(design_certificate(spec, controller)))[1]
+
+
+def test_where_loads_move_x_d_or_swing_no_bound_is_said_of_a_run(loaded: tuple[str, Spec, ProvedController]) -> None:
+    _, spec, controller = loaded
+    found, _ = proved(spec, controller, gains_of(controller, 0.02))
+    assert list(SampledBounds.prove(found, asking(spec, found, found.claim(SampledLoop).gains))) == []
 
 
 def test_where_nothing_is_proved_it_is_said_why(tmp_path: Path) -> None:

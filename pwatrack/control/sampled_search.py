@@ -100,8 +100,8 @@ def _tried(errors: SampledErrors, most: int) -> list[tuple[SampledErrors, int]]:
 
 
 def _work(errors: SampledErrors) -> int:
-    """Return how much one segment in each substep takes."""
-    return _inequalities(errors) * errors.order**2
+    """Return how much one segment in each substep takes: with estimates, of which numbers are long, twice as much."""
+    return _inequalities(errors) * errors.order**2 * (1 if errors.estimates is None else 2)
 
 
 def _inequalities(errors: SampledErrors) -> int:

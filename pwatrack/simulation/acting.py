@@ -47,8 +47,8 @@ def acting(
 ) -> Acting | None:
     """Return how large what acts gets up to a time (s), substep by substep; None where that is not known.
 
-    It is not for an η that is played back, where loads move x_d, and for very many samples. Where inputs are late it
-    begins with x̂ = x = x_d as the first input comes. Time is that of the program.
+    It is not for an η that is played back, where loads move x_d or oscillate, and for very many samples. Where inputs
+    are late it begins with x̂ = x = x_d as the first input comes. Time is that of the program.
 
     Args:
         controller: With the gains of `errors`.
@@ -61,7 +61,8 @@ def acting(
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
     runs = program(controller, Conditions(sampling=sampling))
     moving = (rows[..., : runs.sizes["N"] - runs.sizes["n"]] for rows in (runs.generator, runs.guards, runs.x_d))
-    played = trajectory.preview is not None or any(rows.any() for rows in moving)
+    swings = errors.estimates is not None and any(any(F.centre.entries()) for F in errors.estimates.hull)
+    played = trajectory.preview is not None or swings or any(rows.any() for rows in moving)
     end = trajectory.exosystem.end
     duration = duration if end is None else min(duration, end)
     if played or duration / gains.sample_time * gains.substeps > _MOST:

@@ -13,8 +13,8 @@ from .reading import matrix
 from .vertices import outermost
 
 _TURNS = 64  # h times the size of F: a sample in which it turns further is not looked at
-_TAIL = Fraction(1, 2**70)  # share of h below which the rest of a sum may be
-_DIGITS = 90  # binary ones that are kept of each entry
+_TAIL = Fraction(1, 2**60)  # share of h below which the rest of a sum may be
+_DIGITS = 60  # binary ones that are kept of each entry
 
 
 class Estimates:
@@ -90,7 +90,8 @@ class Estimates:
             found += [stacked(held @ F_j, eye + P @ F_j) for F_j in self.hull]
         m = len(self.plant.B[0][0])
         each = [Ball(X[:m] + X[m + self.k :], R and R[:m] + R[m + self.k :]) for X, R in found]
-        return [(part(ball, 0, m), part(ball, m, m + self.p) if self.p else None) for _, ball in unlike(each)]
+        kept = [short(ball) for _, ball in unlike(each)]
+        return [(part(ball, 0, m), part(ball, m, m + self.p) if self.p else None) for ball in kept]
 
 
 def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
