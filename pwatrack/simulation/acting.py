@@ -243,7 +243,7 @@ class _Walk:
 def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
     """Yield x_d and u_ff as the program has them for what it holds from each tick on, from η̂(0) at the first.
 
-    Loads that it estimates move no x_d. Before the first input that it puts out it has 0.
+    Loads that it estimates are to move no x_d. Before the first input that it puts out it has 0.
     """
     follows = runs.follows
     assert follows is not None
