@@ -40,6 +40,7 @@ from pwatrack.rational import rational
 from pwatrack.report.certificate import design_certificate
 from tests.plain import Plain
 from tests.sampled import asking, form_at, integrated, predicted, with_sampled, worst_found
+from tests.test_preview import blown
 
 LEANING = """
 name: a mass with friction, a belt that drifts, and a tank beside it that somebody fills
@@ -119,12 +120,14 @@ class Rest:
 
 
 def running(
-    errors: SampledErrors, controller: ProvedController, seed: int, ticks: int, size: float = 0.2
+    errors: SampledErrors, controller: ProvedController, seed: int, ticks: int, jitter: float | None = None
 ) -> Iterator[tuple[int, int, Array]]:
     """Yield z along the loop of plant and program, as both run, in each substep many times.
 
-    Loads that swing are 0, so that x_d rests; what is estimated of them is not.
+    Loads that swing are 0, so that x_d rests; what is estimated of them is not. Ticks come early and late, as the gains
+    say or by another jitter.
     """
+    size, early = 0.2, (errors.gains.jitter if jitter is None else jitter) / errors.gains.sample_time
     random, plant, gains, fine = np.random.default_rng(seed), controller.plant, errors.gains, 6
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
     tables = program(replace(controller, claims=(SampledLoop(gains=gains, proof=None),)), Conditions(sampling=sampling))
@@ -145,10 +148,11 @@ def running(
         seen = [np.array(now["x_hat"]), *seen[:-1]]
         acts, *queue = [*queue, put_out(errors, controller, runs, rest, s)]
         u = np.array(now["u"])
+        pace = 1 + random.uniform(-1, 1) * early if early else 1.0
         for part in range(r):
             begin = seen
             for k in range(fine + 1):
-                x = integrated(plant, x, plant.B @ u + loads.E.floats @ s, step) if k else x
+                x = integrated(plant, x, plant.B @ u + loads.E.floats @ s, pace * step) if k else x
                 seen = [predicted(plant, one, u, k * step) for one in begin]
                 if tick >= d:
                     Delta = [one - np.append(x, s) for one in seen]
@@ -199,13 +203,15 @@ def missed(vertices: Array, z: Array, after: Array) -> float:
     return float(nnls(A, np.append(after * scale, weight), maxiter=10_000)[1])
 
 
-def along_the_loop(errors: SampledErrors, controller: ProvedController, seed: int, ticks: int) -> tuple[float, float]:
+def along_the_loop(
+    errors: SampledErrors, controller: ProvedController, seed: int, ticks: int, jitter: float | None = None
+) -> tuple[float, float]:
     """Return by how much ticks and flows of the loop, as it runs, are none of those that are in the proof."""
     system, fine = errors.clocked, 6
     F, J = (np.array([X.floats for X in some]) for some in (system.F, system.J))
     step, at_ticks, between = float(system.period) / system.parts / fine, 0.0, 0.0
     past = list[Array]()
-    for part, k, z in running(errors, controller, seed, ticks):
+    for part, k, z in running(errors, controller, seed, ticks, jitter):
         if k == 0:
             if past and part == 0:
                 at_ticks = max(at_ticks, missed(J, past[-1], z))
@@ -226,6 +232,60 @@ def test_what_the_loop_does_is_a_mean_of_what_is_in_the_proof(
     at_ticks, between = along_the_loop(errors_of(controller, gains_of(controller, 0.02, delay)), controller, seed, 40)
     assert at_ticks < 1e-9
     assert between < 3e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_so_it_is_where_ticks_come_early_and_late(seed: int, tmp_path: Path) -> None:
+    _, controller = designed(LEANING.replace("LOADS", LOADS["constants"]), tmp_path)
+    gains = replace(gains_of(controller, 0.02), jitter=0.006)
+    at_ticks, between = along_the_loop(errors_of(controller, gains), controller, seed, 40)
+    assert at_ticks < 1e-9
+    assert between < 3e-3
+    at_ticks, between = along_the_loop(errors_of(controller, replace(gains, jitter=0.0)), controller, seed, 40, 0.006)
+    assert between > 0.1
+
+
+@pytest.mark.parametrize(
+    "loads", ["{wind: {into: {w: 1}}, push: {into: {v: 1}}}", "{hum: {into: {w: 1}, frequency: 3}}"]
+)
+def test_so_it_is_where_x_d_is_worked_out_beforehand(loads: str, tmp_path: Path) -> None:
+    spec = blown(tmp_path, loads, "{w: 0.3}", (", step: {size: 0.7, at: 2.25, smooth: 1.5}", ""))
+    controller = design(spec)
+    found, _ = proved(spec, controller, gains_of(controller, 0.005))
+    errors = errors_of(controller, found.claim(SampledLoop).gains)
+    assert errors.estimates is not None
+    assert (errors.estimates.eta, np.abs(errors.estimates.x_d.floats).max() > 0.03) == (0, True)
+    at_ticks, between = along_the_loop(errors, controller, 0, 40)
+    assert at_ticks < 1e-9
+    assert between < 3e-3
+    assert not audit(json.dumps(design_certificate(spec, found)))[1]
+
+
+def test_a_sample_may_begin_in_a_cell_within_the_hull(tmp_path: Path) -> None:
+    text = LEANING.replace("LOADS", LOADS["constants"])
+    saturation = "kind: saturation, of: v, lower: -0.1, upper: 0.1, slope: 2,"
+    assert saturation in text
+    three = text.replace(saturation, "kind: piecewise_linear, of: v, breakpoints: [-0.1, 0.1], slopes: [0.5, 2, 1],")
+    spec, controller = designed(three, tmp_path)
+    found, _ = proved(spec, controller, gains_of(controller, 0.02))
+    errors = errors_of(controller, found.claim(SampledLoop).gains)
+    assert errors.estimates is not None
+    assert (len(errors.estimates.cells), len(errors.estimates.hull), len(errors.ticks)) == (3, 2, 6)
+    content = json.loads(json.dumps(design_certificate(spec, found)))
+    assert "elements" in content["plant"]
+    assert not audit(json.dumps(content))[1]
+    again = AuditedErrors(
+        content["sampled"],
+        Loop(
+            AuditedPlant(content["plant"]),
+            [],
+            [],
+            normal_form(AuditedPlant(content["plant"]), content["generator"])[1],
+            content["generator"],
+        ),
+    )
+    assert len(again.ticks) == 6
+    assert along_the_loop(errors, controller, 0, 40)[0] < 1e-9
 
 
 WRONG: dict[str, Callable[[OnEstimates], OnEstimates]] = {
