@@ -31,7 +31,7 @@ from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import fraction_of, identity, number, rank
 
-_BITS = 64  # of the entries of an integral; what rounds them is in its radius
+_BITS = 100  # of the entries of an integral and its terms, which may cancel; what rounds them is in its radius
 _MORE = 1 + Fraction(1, 2**60)  # times a radius that is rounded
 _TAIL = Fraction(1, 2**80)  # share of h below which the rest of a sum may be
 _NOT_AT_INPUTS = "loads that are estimated do not act at inputs, known exactly, while x_d is given"

@@ -14,7 +14,8 @@ from .vertices import outermost
 
 _TURNS = 64  # h times the size of F: a sample in which it turns further is not looked at
 _TAIL = Fraction(1, 2**60)  # share of h below which the rest of a sum may be
-_DIGITS = 60  # binary ones that are kept of each entry
+_DIGITS = 60  # binary ones that are kept of each entry of what a tick makes of epsilon
+_MORE = 100  # of each entry of an integral and its terms, which may cancel
 
 
 class Estimates:
@@ -90,7 +91,7 @@ class Estimates:
             found += [stacked(held @ F_j, eye + P @ F_j) for F_j in self.hull]
         m = len(self.plant.B[0][0])
         each = [Ball(X[:m] + X[m + self.k :], R and R[:m] + R[m + self.k :]) for X, R in found]
-        kept = [short(ball) for _, ball in unlike(each)]
+        kept = [short(ball, _DIGITS) for _, ball in unlike(each)]
         return [(part(ball, 0, m), part(ball, m, m + self.p) if self.p else None) for ball in kept]
 
 
@@ -107,10 +108,10 @@ def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
     term, P, Q = Ball(identity(n, h)), zero(n, n), zero(n, n)
     while 2 * f > k + 2 or 2 * size_of(term) > h * _TAIL:
         P, Q = P + term, Q + times(term, Fraction(1, k + 2))
-        term, k = short(times(term @ F, h / (k + 2))), k + 1
+        term, k = short(times(term @ F, h / (k + 2)), _MORE), k + 1
     left = 2 * size_of(term)
     open_ = Ball(zero(n, n)[0], [[left] * n for _ in range(n)])
-    return short(P + open_), short(Q + open_)
+    return short(P + open_, _MORE), short(Q + open_, _MORE)
 
 
 def size_of(ball: Ball) -> Fraction:
@@ -120,19 +121,19 @@ def size_of(ball: Ball) -> Fraction:
     return max(sum(one, Fraction(0)) + sum(other, Fraction(0)) for one, other in rows)
 
 
-def short(ball: Ball) -> Ball:
-    """Return a ball around one, with entries of few digits."""
+def short(ball: Ball, digits: int) -> Ball:
+    """Return a ball around one, with entries of so many binary digits."""
     X, R = ball
-    centre = [[cut(v) for v in row] for row in X]
+    centre = [[cut(v, digits) for v in row] for row in X]
     off = [[abs(v - w) for v, w in zip(*rows, strict=True)] for rows in zip(X, centre, strict=True)]
     if R:
         off = [[v + w for v, w in zip(*rows, strict=True)] for rows in zip(off, R, strict=True)]
-    return Ball(centre, [[2 * cut(v) for v in row] for row in off])
+    return Ball(centre, [[2 * cut(v, digits) for v in row] for row in off])
 
 
-def cut(v: Fraction) -> Fraction:
-    """Return a number of few digits that is near."""
-    places = _DIGITS - v.numerator.bit_length() + v.denominator.bit_length()
+def cut(v: Fraction, digits: int) -> Fraction:
+    """Return a number of so many digits that is near."""
+    places = digits - v.numerator.bit_length() + v.denominator.bit_length()
     unit = Fraction(2) ** places
     return round(v * unit) / unit
 
