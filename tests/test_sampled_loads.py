@@ -422,12 +422,14 @@ SMALLER: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 def test_the_auditor_agrees_with_tubes_and_refuses_forged_ones(
     bounded: tuple[Spec, ProvedController, SampledBounds],
 ) -> None:
-    spec, controller, bounds = bounded
+    spec, controller, _ = bounded
     content = json.loads(json.dumps(design_certificate(spec, controller)))
-    for channel in bounds.tubes:  # one by one: a small file may not ask for much
+    channels: list[Channel] = [("disturbance", 0), ("noise", 0)]
+    for channel in channels:  # one by one: a small file may not ask for much
         (tube,) = [one for one in content["sampled_bounds"] if one["channel"] == list(channel)]
         said, faults = audit(json.dumps(content | {"sampled_bounds": [tube]}))
         assert not faults

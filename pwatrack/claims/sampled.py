@@ -55,8 +55,8 @@ class SampledLoop(Claim):
         "(P_k+1 - P_k) / step + F^T P_e + P_e F + 2 rate P_e < 0 at both ends e of each segment for all F of the "
         "cells, J^T P_0 J < P_N at ticks and at the ends of substeps. Where loads are not all constants at inputs, one "
         "for each tracked output, x_d and eta are those of s itself, and z has behind it epsilon = (s_hat - s, eta_hat "
-        "- eta) at the tick, eta where a load acts on it, and eta_hat - eta one sample later; nu = K (x_hat_delay - "
-        "the x_d of the program) with N epsilon, by which the mean of u_ff is more above u_ff at the tick than for s."
+        "- eta) at the tick, eta where a load acts on it, and eta_hat - eta one sample later; nu is K (x_hat_delay - "
+        "the x_d of the program) and what the mean of u_ff, which is held, is more above u_ff at the tick than for s."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled": None}
 

@@ -31,9 +31,9 @@ steps of the generator beside (15), and what merged cells leave out act from out
 cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all.
 
 Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the true s, e' has (c_j − A_i [X, N]) ε and not
-−E σ_0, and z has ε and δ more, held as ν is: see `estimated_loads`. With N_a,j = u_a Q(F_a) F_j, at a tick
+−E σ_0, and z has ε and δ more, held as ν is: see `estimated_loads`. At a tick
 
-    ε⁺ = (σ_0⁺ or with delay σ_{d−1}, δ),   ν⁺ = K (e + Δ_0⁺ or Δ_{d−1} − [X, N] ε⁺) + N_a,j ε⁺,
+    ε⁺ = (σ_0⁺ or with delay σ_{d−1}, δ),   ν⁺ = K (e + Δ_0⁺ or Δ_{d−1} − [X, N] ε⁺) + u_a Q(F_a) F_j ε⁺,
     δ⁺ = [ε⁺ + P(F_a) F_j ε⁺]_η
 """
 
