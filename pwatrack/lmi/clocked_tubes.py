@@ -1,10 +1,11 @@
 """What a bounded scalar can do to a switched system with a clock: tubes that depend on the time since a tick.
 
 Let z be as in `clocked`, and driven by a scalar |d| ≤ 1, z' = F(t) (z + E d) + G d between ticks, or z⁺ = J z + Γ d at
-them. With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part of the period, and g_i = F_i E + G,
+them, (J, Γ) in the hull of (J_j, Γ_j). With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part of the
+period, and g_i = F_i E + G,
 
     −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i g_iᵀ / a ≺ 0    for e = k and e = k + 1, all k, all i
-    R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ Γᵀ / b ≺ Q_0 of the first, for all j
+    R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ_j Γ_jᵀ / b ≺ Q_0 of the first, for all j
 
 V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 − b) V + b d² at them; what acts only at one of both has
 a = 0 or b = 0 at the other, without the last term. So from z = 0 always V ≤ 1, from everywhere V ends below 1, and
@@ -42,7 +43,7 @@ class Drive:
 
     held: BallMatrix  # E, (n, 1): beside what of z
     between: BallMatrix  # G, (n, 1)
-    ticks: BallMatrix | None = None  # Γ, (n, 1); None where it acts between ticks
+    ticks: Sequence[BallMatrix] | None = None  # Γ_j, (n, 1), one for each J_j; None where it acts between ticks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +89,9 @@ def tube(
     if ticks is not None:
         a, b = 0.0, rounded_down(-float(np.expm1(-decay * float(system.period))), 3)
     g = np.array([(F @ driven.held + driven.between).floats[:, 0] for F in system.F])
-    kick = np.zeros(g.shape[1]) if ticks is None else ticks.floats[:, 0]
+    kicks = np.array([np.zeros(g.shape[1])] * len(system.J) if ticks is None else [X.floats[:, 0] for X in ticks])
     for slack in _SLACKS:
-        found = program.smallest(g, kick, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
+        found = program.smallest(g, kicks, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
         if found is None:
             return None
         for bits in _BITS:
@@ -143,8 +144,9 @@ def _columns(system: Clocked, driven: Drive) -> list[BallMatrix]:
 def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Packed]], b: Fraction) -> Iterator[Rational]:
     """Yield what is to be positive definite at ticks and at the ends of parts."""
     first, last = parts[0][0], parts[-1][-1]
-    kicked = first.P if driven.ticks is None else first.P - square_above(driven.ticks, [1 / b], first.scale)
-    for J in system.J:
+    kicks: Sequence[BallMatrix | None] = driven.ticks or [None] * len(system.J)
+    for J, kick in zip(system.J, kicks, strict=True):
+        kicked = first.P if kick is None else first.P - square_above(kick, [1 / b], first.scale)
         yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
     for before, after in pairwise(parts):
         assert system.between is not None

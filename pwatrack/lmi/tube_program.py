@@ -32,7 +32,7 @@ class TubeProgram:
     def smallest(
         self,
         g: Array,
-        kick: Array,
+        kicks: Array,
         rows: Array,
         weights: Array,
         *,
@@ -45,7 +45,7 @@ class TubeProgram:
 
         Args:
             g: What drives z' at each vertex, (v, n).
-            kick: Γ, (n,).
+            kicks: Γ_j, (w, n).
             rows, weights: c, (s, n), and of each, (s,).
             a, b: As in `clocked_tubes`.
             slack: Share of the size of what drives by which inequalities are to hold.
@@ -54,7 +54,7 @@ class TubeProgram:
         L = np.linalg.cholesky(self.near).T
         back = np.linalg.inv(L)
         F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
-        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), L @ kick / np.sqrt(b or np.inf)
+        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), kicks @ L.T / np.sqrt(b or np.inf)
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
@@ -65,7 +65,8 @@ class TubeProgram:
         pushed, holding = (np.tile(a * rest, (len(F), 1, 1)), squares) if summed else (squares, squares[:0])
         between = self.system.between
         R = np.eye(len(L)) if between is None else L @ between.floats @ back
-        jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kicking, kicking) / size) for J_j in J]
+        each = zip(J, kicking, strict=True)
+        jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kick, kick) / size) for J_j, kick in each]
         holds = [
             Bound({k: (-np.eye(len(L)) / 2, np.eye(len(L)))}, X) for X in _unlike(holding) for k in range(self.count)
         ]

@@ -16,6 +16,25 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
 
     With H = resting, eta + H s is played back: then no load may act on this eta in any cell.
     """
+    degrees = generator["relative_degrees"]
+    (T, _), r, found = coordinates(plant, generator), sum(degrees), list[Ball]()
+    backs = once(Ball.inverse, T)
+    if plant.elements is not None and len(unlike(T)) > 1:
+        raise AuditFault("the last derivative of an output differs between cells, which are not listed")
+    for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
+        X, R = T_i @ A_i @ back
+        found.append(Ball([line[r:] for line in X[r:]], [line[r:] for line in R[r:]]))
+    if ("A_eta" in generator) != (plant.elements is None):
+        raise AuditFault("A_eta is there where all cells are listed, and only there")
+    if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
+        raise AuditFault("A_eta is not that of the plant")
+    if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
+        raise AuditFault("T is not that of the plant")
+    return found, shift(plant, degrees, T, backs, [] if resting is None else matrix(resting))
+
+
+def coordinates(plant: AuditedPlant, generator: Any) -> tuple[list[Ball], list[Ball]]:
+    """Return the change of state T of each cell, and its rows of the last derivatives, after checking that they fit."""
     n, degrees = len(plant.B[0]), generator["relative_degrees"]
     r, p, m = sum(degrees), len(degrees), len(plant.B[0][0])
     internal, Z = [place(j, n) for j in generator["internal"]], matrix(generator["directions"])
@@ -30,20 +49,7 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     for j in internal:
         own = Ball([[Fraction(int(j == k)) for k in range(n)]])
         N.append(own - share.row(j) @ C[0])
-    T = [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
-    found, backs = list[Ball](), once(Ball.inverse, T)
-    if plant.elements is not None and len(unlike(T)) > 1:
-        raise AuditFault("the last derivative of an output differs between cells, which are not listed")
-    for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
-        X, R = T_i @ A_i @ back
-        found.append(Ball([line[r:] for line in X[r:]], [line[r:] for line in R[r:]]))
-    if ("A_eta" in generator) != (plant.elements is None):
-        raise AuditFault("A_eta is there where all cells are listed, and only there")
-    if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
-        raise AuditFault("A_eta is not that of the plant")
-    if [matrix(X) for X in generator["T"]] != [X for X, _ in (T if plant.elements is None else T[:1])]:
-        raise AuditFault("T is not that of the plant")
-    return found, shift(plant, degrees, T, backs, [] if resting is None else matrix(resting))
+    return [joined([*cell, *N]) for cell in zip(*outputs, strict=True)], C
 
 
 def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
