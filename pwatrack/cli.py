@@ -129,8 +129,7 @@ def check(
             from pwatrack.report.check import check_screen
             from pwatrack.report.screen import print_screen
 
-            known: dict[str, Any] = {"reference": reference, "sizes": sizes, "remarks": remarks}
-            known["units"] = spec.problem.units
+            known: Any = {"reference": reference, "sizes": sizes, "remarks": remarks, "units": problem.units}
             print_screen(console(), check_screen(name, report, refused=refusal is not None, **known))
         if refusal is not None:
             raise refusal

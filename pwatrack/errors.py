@@ -93,15 +93,7 @@ class ExitCode(IntEnum):
         return _VERDICTS[self]
 
 
-_VERDICTS = {
-    ExitCode.DONE: "proved",
-    ExitCode.BUG: "crashed",
-    ExitCode.INVALID: "invalid spec",
-    ExitCode.OUTSIDE_THEORY: "outside the theory",
-    ExitCode.INFEASIBLE: "infeasible",
-    ExitCode.UNDECIDED: "undecided",
-    ExitCode.CHECK_FAILED: "check failed",
-}
+_VERDICTS = "proved", "crashed", "invalid spec", "outside the theory", "infeasible", "undecided", "check failed"
 
 
 @dataclass(frozen=True)

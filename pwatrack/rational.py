@@ -4,8 +4,7 @@ A `Rational` is a `flint.fmpq_mat`; python-flint is loaded when the first one is
 """
 
 import copyreg
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -21,17 +20,6 @@ Rational = Any  # flint.fmpq_mat, which comes without types
 _CLEARLY = 1e-12  # least eigenvalue, where the diagonal is 1, at which few bits will do
 _MOST_BITS = 8192  # precision at which the balls give up
 _QUOTIENT_BITS = 512  # of quotients that only hint at a number: a condition of 1e40 leaves most of them
-
-
-@contextmanager
-def working_bits(bits: int) -> Iterator[None]:
-    """Compute with balls of so many bits."""
-    before = flint.ctx.prec
-    flint.ctx.prec = bits
-    try:
-        yield
-    finally:
-        flint.ctx.prec = before
 
 
 def decimals(X: Array) -> Rational:
@@ -100,7 +88,7 @@ def solved(A: Rational, B: Rational) -> Any:
         [[0.3333333333333333]]
     """
     try:
-        with working_bits(_QUOTIENT_BITS):
+        with flint.ctx.workprec(_QUOTIENT_BITS):
             return flint.arb_mat(A).solve(flint.arb_mat(B))
     except ZeroDivisionError:
         return A.inv() * B
@@ -235,7 +223,7 @@ def is_positive_definite(X: Rational) -> bool:
     """Decide X ≻ 0 by the pivots of LDLᵀ in ball arithmetic, with ever more bits until every sign is sure."""
     n, bits = X.nrows(), 128
     while bits <= _MOST_BITS:
-        with working_bits(bits):
+        with flint.ctx.workprec(bits):
             sign = _pivots([[flint.arb(X[j, k]) for k in range(j + 1)] for j in range(n)])
         if sign is not None:
             return sign

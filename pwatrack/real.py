@@ -140,17 +140,13 @@ def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
     """
     import flint
 
-    before = flint.ctx.prec
-    flint.ctx.prec = _BITS
-    try:
+    with flint.ctx.workprec(_BITS):
         balls = []
         for argument in arguments:
             middle = flint.arb(flint.fmpq(argument.centre.numerator, argument.centre.denominator))
             spread = flint.fmpq(argument.radius.numerator, argument.radius.denominator)
             balls.append(middle + flint.arb(0, flint.arb(spread).upper()) if argument.radius else middle)
         value = function(*balls)
-    finally:
-        flint.ctx.prec = before
     if value.is_nan() or not value.is_finite():
         raise ValueError("has no real value there")
     if value.abs_upper() < flint.arb(2) ** -1060:

@@ -97,9 +97,10 @@ def running(
 def predicted(plant: PWASystem, seen: Array, u: Array, time: float) -> Array:
     """Return x̂ and ŝ some time later by the law of the cell of x̂."""
     (n, _), N = plant.B.shape, len(seen)
-    E = np.zeros((n, 0)) if plant.loads is None else plant.loads.E.floats
     i, F = plant.partition.locate(seen[:n]), np.zeros((N + 1, N + 1))
-    F[:n, :n], F[:n, n:-1], F[:n, -1] = plant.A[i], E, plant.b[i] + plant.B @ u
+    F[:n, :n], F[:n, -1] = plant.A[i], plant.b[i] + plant.B @ u
+    if plant.loads is not None:
+        F[:n, n:-1], F[n:-1, n:-1] = plant.loads.E.floats, plant.loads.S.floats
     return np.asarray(expm(F * time) @ np.append(seen, 1.0))[:-1]
 
 
@@ -135,11 +136,13 @@ def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int, *, 
     errors, random = claim.errors, np.random.default_rng(seed)
     system, drive = errors.clocked, driven(errors, channel)
     F = np.array([X.floats for X in system.F])
-    J, parts, fine, n = system.J[0].floats, system.parts, 4, F.shape[1]
+    parts, fine, n = system.parts, 4, F.shape[1]
     R = np.eye(n) if system.between is None else system.between.floats
     dt = float(system.period) / parts / fine
     held, between = drive.held.floats, drive.between.floats
-    kick = None if drive.ticks is None else drive.ticks.floats
+    mean = random.dirichlet(np.full(len(system.J), 0.1)) if len(system.J) > 1 else np.ones(1)
+    J = np.tensordot(mean, np.array([X.floats for X in system.J]), 1)
+    kick = None if drive.ticks is None else np.tensordot(mean, np.array([X.floats for X in drive.ticks]), 1)
     shares = random.dirichlet(np.full(len(F), 0.1), size=parts * fine)
     stretches = list[tuple[Array, Array]]()  # of a period, what each turns z by and adds to it
     for A in np.tensordot(shares, F, 1):

@@ -6,8 +6,9 @@ import sys
 import time
 from pathlib import Path
 
-from pwatrack.batch.work import Ended, Job, JobFault, refused
+from pwatrack.batch.work import Ended, Job, refused
 from pwatrack.errors import InvalidSpec
+from pwatrack.report.annotation import JobFault
 from pwatrack.report.run_folder import read_index, run_folder
 from tests.runs import record
 

@@ -11,11 +11,11 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi import margin_program
+from pwatrack.lmi import clocked_forms
 from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, proves
+from pwatrack.lmi.clocked_forms import MarginProgram
 from pwatrack.lmi.exact import Packed
-from pwatrack.lmi.margin_program import MarginProgram
 
 
 def scalar(a: float, g: float, h: str) -> Clocked:
@@ -139,7 +139,7 @@ def test_both_methods_find_the_same_margin(order: int, monkeypatch: pytest.Monke
     J = random.normal(size=(order, order)) / order
     margins = list[float]()
     for small in (0, 99):
-        monkeypatch.setattr(margin_program, "SMALL", small)
+        monkeypatch.setattr(clocked_forms, "SMALL", small)
         program = MarginProgram(order, 2)
         for X in F:
             program.add({k: program.less if k else (X.T, np.eye(order)) for k in (0, 1)}, np.eye(order))

@@ -230,8 +230,8 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
     run = call("simulate", path, "--out", tmp_path / "out")
     assert run.exit_code == 0, run.output
     _, first, *_ = lines(run.stdout)
-    how = "simulated 20 s, limits, disturbance: off by more than 1 %, error ≤"
-    assert re.match(how + r" \S+ m from 18 s on; \S+ m before$", first)
+    how = "simulated 20 s, limits, disturbance: does NOT track, error ≤"
+    assert re.match(how + r" \S+ m in the last tenth; \S+ m before; 'tracks' is", first)
     assert "NOT proved for u limited to [-0.1, 0.1]" in lines(run.stdout)
     said = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
     assert "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt" in said
@@ -241,7 +241,7 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
 def test_a_good_run_says_so_in_a_line(tmp_path: Path) -> None:
     run = call("simulate", cart(tmp_path), "--out", tmp_path / "out")
     _, first, second, third, *_ = lines(run.stdout)
-    said = r"simulated 20 s, ideal loop: tracks to 1 %, error ≤ \S+ m( \(rounding\))? from 18 s on; \S+ m"
+    said = r"simulated 20 s, ideal loop: tracks, error ≤ \S+ m( \(rounding\))? in the last tenth; \S+ m"
     assert re.match(said, first)
     assert re.match(r"question a mode at 3.16 rad/s has damping 0;", second)  # the file has none
     assert re.match(r"ideal loop proved: error to 0 from every start, time constant \S+ s; ", third)

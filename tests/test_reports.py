@@ -16,9 +16,9 @@ from pwatrack.batch.command import WRITERS
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.page import write_page
 from pwatrack.batch.reports import add_summary, annotations
-from pwatrack.batch.work import JobFault
 from pwatrack.cli import app
 from pwatrack.errors import Place
+from pwatrack.report.annotation import JobFault
 
 ODD = os.fsdecode(b"specs/a,b: \xff\x1b[31m|<b>%\n.yaml")
 OUTCOMES = [

@@ -104,7 +104,7 @@ def test_noise_at_ticks_leaves_the_sum_of_what_each_tick_leaves(g: float) -> Non
     program = TubeProgram(system=system, near=np.eye(1), knots=4)
     worst = 1 / (1 - abs(g) * np.exp(-h))
     decays = np.geomspace(0.1, 1.9 * program.most, 25)
-    drive = Drive(held=nothing, between=nothing, ticks=one)
+    drive = Drive(held=nothing, between=nothing, ticks=[one])
     found = [tube(program, drive, one, np.ones(1), float(f"{decay:.3g}")) for decay in decays]
     least = min(each.sizes[0] for each in found if each is not None)
     assert worst <= least < 1.03 * worst
@@ -298,7 +298,7 @@ def test_where_ticks_are_late_a_disturbance_makes_up_for_it(seed: int, friction:
     z, left, e, dt = np.zeros(order), np.zeros(order), np.zeros(n), plain.gains.sample_time / 4
     assert sorted({*paces.round(9).tolist()}) == [0.7, 1.3]
     for _ in range(20):
-        z, left, held, p = errors.tick.floats @ z, errors.tick.floats @ left, K @ e, R @ e
+        z, left, held, p = errors.ticks[0].floats @ z, errors.ticks[0].floats @ left, K @ e, R @ e
         for _ in range(4):
             omega, x_d = float(random.normal()), random.normal(size=n)
             shares = random.dirichlet(np.full(len(F), 0.1))

@@ -1,14 +1,19 @@
 """The first screen: ten lines of 80 columns that say what matters, and what an engineer would be warned of."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import Result
 
-from pwatrack import design, load_spec
+from pwatrack import design, load_spec, simulate
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.report.first_rows import first_rows
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
+from pwatrack.simulation.margins import loop_margins
 from pwatrack.workflow.bands import declared
 from pwatrack.workflow.cautions import assessed, plant_questions
 from tests.test_cli import call
@@ -104,7 +109,7 @@ def test_where_the_sampled_loop_is_bounded_that_is_what_is_said_in_the_end(tmp_p
     assert declared(spec, made)["noise", 0] == pytest.approx(0.0605)  # and half a step
     said = assessed(spec, made)
     assert said.ends == made.claim(SampledBounds).ends_below(made)
-    assert said.condition == "under noise, steps, disturbance"  # not with other parameters, or limits
+    assert said.condition == "under noise, quantisation, disturbance"  # not with other parameters, or limits
 
 
 def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_warned_of(tmp_path: Path) -> None:
@@ -170,3 +175,83 @@ def test_specs_of_the_repository_have_small_first_screens(specs: Path, tmp_path:
     run = call("simulate", specs / f"{name}.yaml", "--plots", "none", "--out", tmp_path / "out")
     assert small(run.stdout.splitlines())
     assert any(line.startswith(("ideal loop  proved", "as sampled  proved")) for line in run.stdout.splitlines())
+
+
+IDEAL = "without sampling, limits, noise"
+
+
+def title(run: Result) -> str:
+    return run.stdout.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("", "Stage: tracks; without sampling, limits, noise"),
+        ("require: {final_error: 1e-30}\n", "Stage: NOT READY: 1 of 1 requirements missed"),
+        ("  actuator: {limits: {u: [-90, 90]}}\n", "Stage: tracks; without sampling, noise"),
+        (MUCH.replace("0.02", "1e-6").replace("0.2,", "1e-6,"), "Stage: tracks; partly proved"),
+    ],
+)
+def test_the_title_says_the_worst_first(tmp_path: Path, more: str, said: str) -> None:
+    path = stage(tmp_path, more=more)
+    path.write_text(path.read_text().replace("d: 0.5", "d: 40"))  # or the phase margin is small, which would come first
+    assert title(call("simulate", path, "--out", tmp_path / "out")) == said
+
+
+def test_an_error_that_is_as_required_is_no_failure_though_it_is_off(tmp_path: Path) -> None:
+    other = "  plant: {parameters: {k: 80}}\n"
+    for wish, said in (("", "NOT READY: error above 1 %"), ("require: {final_error: 1}\n", f"as required; {IDEAL}")):
+        path = stage(tmp_path, more=other + wish)
+        path.write_text(path.read_text().replace("d: 0.5", "d: 40"))
+        assert title(call("simulate", path, "--out", tmp_path / "out")) == f"Stage: {said}"
+
+
+def test_a_row_without_room_loses_whole_parts_and_no_figure() -> None:
+    parts = [f"part {k} says {k}.5 m and more than that" for k in range(9)]
+    (first, *others) = fitted([("input", "; ".join(parts))], 3)
+    said = " ".join(line[12:] for line in [first, *others])
+    kept = said.removesuffix("; …").split("; ")
+    assert kept == parts[: len(kept)]
+    assert 0 < len(kept) < len(parts)
+    assert small([first, *others])
+
+
+def test_how_long_an_input_was_at_its_limit_is_what_its_samples_say(tmp_path: Path) -> None:
+    limits = "  initial: {plant: [0.5, 0]}\n  actuator: {limits: {u: [-9, 7]}}\n"
+    result = simulate(load_spec(stage(tmp_path, more=limits)))
+    u = result.response.u[:, 0]
+    at = np.mean((u <= -9 + 1e-12) | (u >= 7 - 1e-12))
+    assert 0.1 < at < 0.9
+    assert result.at_limits["u"] == pytest.approx(at, abs=0.01)
+    assert (result.figures.lowest["u"], result.figures.highest["u"]) == pytest.approx((-9, 7))
+    free = simulate(load_spec(stage(tmp_path)))
+    assert free.at_limits == {}
+    assert free.figures.lowest["u"] == pytest.approx(free.response.u.min(), rel=1e-3)
+
+
+def test_a_small_phase_margin_is_told_with_the_change_that_gives_most(tmp_path: Path) -> None:
+    spec = load_spec(stage(tmp_path))
+    made = design(spec)
+    (said,) = [warning for warning in assessed(spec, made).warnings if warning.startswith("phase margin")]
+    found = re.search(r"([KL]) × (\S+) would have (\S+)°: (lower|raise) 'sizes' of (in|out)puts", said)
+    assert found is not None
+    phases = {}
+    for letter in "KL":
+        for factor in (0.5, 2.0):
+            changed = replace(made.design, **{letter: factor * getattr(made.design, letter)})
+            phases[letter, factor] = np.degrees(min(one.phase for one in loop_margins(replace(made, design=changed))))
+    best = max(phases, key=phases.__getitem__)
+    assert (found[1], float(found[2])) == best
+    assert float(found[3]) == pytest.approx(phases[best], rel=0.05)
+
+
+def test_a_plant_of_the_box_is_not_called_unproved(specs: Path, tmp_path: Path) -> None:
+    path = specs / "gallery" / "robust_positioning.yaml"
+    for value, named in (("2.1", False), ("2.3", True)):  # m is at most 2.2 in the box
+        text = path.read_text(encoding="utf-8").replace("m: 2.1", f"m: {value}")
+        (tmp_path / "box.yaml").write_text(text, encoding="utf-8")
+        spec = load_spec(tmp_path / "box.yaml")
+        made = design(spec)
+        rows = [text for label, text in first_rows(spec, made, assessed(spec, made)) if label == "NOT proved"]
+        assert bool(rows) == named

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.errors import ExitCode, InvalidSpec
-from pwatrack.report.plots.region import starts_in_plane
 from pwatrack.report.plots.signals import control_input
+from pwatrack.report.plots.spread import starts_in_plane
 from pwatrack.workflow.variation import EnsembleResult, sections
 from tests.test_cli import call, index_of, refused
 from tests.test_drawing import points, written

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pwatrack.batch.work import Ended, JobFault
+from pwatrack.batch.work import Ended
 from pwatrack.errors import ExitCode
+from pwatrack.report.annotation import JobFault
 
 _T = TypeVar("_T")
 _LARGEST = 1e300  # of a figure that is shown

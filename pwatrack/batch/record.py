@@ -13,8 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.work import Done, Ended, Job, JobFault
+from pwatrack.batch.work import Done, Ended, Job
 from pwatrack.errors import InvalidSpec, Place
+from pwatrack.report.annotation import JobFault
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
 from pwatrack.version import versions
 

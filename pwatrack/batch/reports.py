@@ -12,8 +12,7 @@ from urllib.parse import quote
 from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from pwatrack.batch.outcomes import SpecOutcome, counted
-from pwatrack.batch.work import JobFault
-from pwatrack.report.annotation import annotation
+from pwatrack.report.annotation import JobFault, annotated
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import visible
 from pwatrack.version import __version__
@@ -67,12 +66,10 @@ def annotations(outcomes: Sequence[SpecOutcome]) -> Iterator[str]:
             continue
         file, title = visible(str(outcome.spec)), visible(outcome.verdict)
         for fault in outcome.faults[:_MOST_ANNOTATIONS]:
-            line, column = (fault.place.line, fault.place.column) if fault.place else (None, None)
-            text = visible(fault.message + (f"\nhint: {fault.hint}" if fault.hint else ""))
-            coded = f"{title} {fault.code}".rstrip()
-            yield annotation(text, title=coded, file=file, line=line, column=column)
+            yield annotated(fault, title=title, file=file, said=visible)
         if not outcome.faults:
-            yield annotation(visible("; ".join([outcome.ending, *outcome.missed])), title=title, file=file)
+            whole = JobFault(message="; ".join([outcome.ending, *outcome.missed]))
+            yield annotated(whole, title=title, file=file, said=visible)
 
 
 def add_summary(outcomes: Sequence[SpecOutcome], environment: Mapping[str, str] = os.environ) -> None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pwatrack.errors import ExitCode, Place, PwatrackError
-from pwatrack.report.codes import code_of
+from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.report.annotation import JobFault, faults
 from pwatrack.report.run_folder import Left, Plots, read_index, stamp
 from pwatrack.report.terminal import told
 
@@ -22,16 +22,6 @@ class Job:
     parameters: tuple[str, ...] = ()
     plots: Plots = "all"
     outside: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class JobFault:
-    """One thing that is wrong: what, its code, what helps, and where it stands if that is known."""
-
-    message: str
-    code: str = ""
-    hint: str = ""
-    place: Place | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +55,7 @@ def simulate(job: Job) -> Ended:
     from pwatrack.spec.load import expected_exit
 
     said = io.StringIO()
-    code, lines, faults = int(ExitCode.DONE), list[str](), tuple[JobFault, ...]()
+    code, lines, wrong = int(ExitCode.DONE), list[str](), tuple[JobFault, ...]()
     before = stamp(job.out)
     with contextlib.redirect_stderr(said):
         try:
@@ -82,13 +72,13 @@ def simulate(job: Job) -> Ended:
         except MemoryError:
             raise
         except Exception as error:
-            code, lines, faults = refused(error)
+            code, lines, wrong = refused(error)
     index = (read_index(job.out) if stamp(job.out) != before else None) or {}
     return Ended(
         exit=code,
         expected=expected_exit(job.spec),
         messages="\n".join([*said.getvalue().splitlines(), *lines]),
-        faults=faults,
+        faults=wrong,
         index=index if index.get("exit") == code else {},
     )
 
@@ -96,10 +86,4 @@ def simulate(job: Job) -> Ended:
 def refused(error: Exception) -> tuple[int, list[str], tuple[JobFault, ...]]:
     """Return how a run ends with an exception: its exit code, what the command line says, and what is wrong."""
     code, lines = told(error)
-    if not isinstance(error, PwatrackError):
-        return int(code), lines, ()
-    faults = (
-        JobFault(message=each.message, code=code_of(each.message, error.code), hint=each.hint, place=each.place)
-        for each in error.problems
-    )
-    return int(code), lines, tuple(faults)
+    return int(code), lines, faults(error) if isinstance(error, PwatrackError) else ()

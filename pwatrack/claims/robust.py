@@ -107,7 +107,7 @@ class Robust(Claim):
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield for which plants it is proved, and how fast."""
         box = ", ".join(interval.text for interval in self.box)
-        yield "ideal loop", f"for all plants with {box}: time constant {up(1 / self.rate)} s"
+        yield "ideal loop", f"to a bound for all plants with {box}: time constant {up(1 / self.rate)} s"
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         if seen.w is None or seen.designed:

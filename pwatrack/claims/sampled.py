@@ -12,6 +12,7 @@ from pwatrack.claims.decay import in_a_line
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.estimated_loads import OnEstimates, refused
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.sampled_optimal import candidates
@@ -34,6 +35,7 @@ class SampledLoop(Claim):
         proof: Forms that prove it; None where it is not proved.
         missing: Why it is not; "" where it is.
         design: Plant, K and L that gains for other sample times can be made of; None where it is from a file.
+        estimates: How x_d and u_ff of it depend on estimates.
         merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
     """
 
@@ -41,6 +43,7 @@ class SampledLoop(Claim):
     proof: ClockedProof | None
     missing: str = ""
     design: tuple[PWASystem, Array, Array] | None = field(default=None, compare=False, repr=False)
+    estimates: OnEstimates | None = field(default=None, compare=False, repr=False)
     merged: bool = False
 
     statement: ClassVar[str] = (
@@ -50,7 +53,10 @@ class SampledLoop(Claim):
         "linear in time between the knots of each substep, is positive definite and z^T P z falls as e^(-2 rate t), "
         "t as the program counts it, sample_time from tick to tick, which are within jitter of that apart: "
         "(P_k+1 - P_k) / step + F^T P_e + P_e F + 2 rate P_e < 0 at both ends e of each segment for all F of the "
-        "cells, J^T P_0 J < P_N at ticks and at the ends of substeps."
+        "cells, J^T P_0 J < P_N at ticks and at the ends of substeps. Where loads are not all constants at inputs, one "
+        "for each tracked output, x_d and eta are those of s itself, and z has behind it epsilon = (s_hat - s, eta_hat "
+        "- eta) at the tick, eta where a load acts on it, and eta_hat - eta one sample later; nu is K (x_hat_delay - "
+        "the x_d of the program) and what the mean of u_ff, which is held, is more above u_ff at the tick than for s."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled": None}
 
@@ -85,7 +91,7 @@ class SampledLoop(Claim):
         """Return gains and forms."""
         if self.proof is None:
             return {}
-        gains, errors = self.gains, _errors(controller, self.gains)
+        gains, errors = self.gains, errors_of(controller, self.gains)
         return {
             "sampled": {
                 "K": decimal_texts(gains.K),
@@ -136,7 +142,7 @@ class SampledLoop(Claim):
     @cached_property
     def longest(self) -> float | None:
         """The longest sample time (s) found at which gains that are made for it are proved; None without one."""
-        return None if self.design is None else longest(*self.design, self.gains)
+        return None if self.design is None else longest(*self.design, self.gains, self.estimates)
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return the rate, none where it is not proved."""
@@ -150,24 +156,28 @@ class SampledLoop(Claim):
             at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
-            every, constant = number_text(self.gains.sample_time), up(1 / self.rate)
-            said = f"proved off the limits, every {every} s: time constant {constant} s"
-            yield "as sampled", said
+            yield "as sampled", f"proved while no input is at a limit: time constant {up(1 / self.rate)} s"
         yield "K, M", in_a_line(words, self.gains.K, "M", self.gains.M, "K and M are in run.json, under sampled")
 
 
-def _errors(controller: ProvedController, gains: SampledGains) -> SampledErrors:
-    return SampledErrors.of(controller.plant, gains)
+def on_estimates(controller: ProvedController) -> OnEstimates | None:
+    """Return how x_d and u_ff of a controller depend on estimates of loads, where they do otherwise than by −U ŝ."""
+    filtered = controller.trajectory.rate.shape[1]
+    return OnEstimates.of(controller.plant, controller.form, controller.compensation.X, filtered)
+
+
+def errors_of(controller: ProvedController, gains: SampledGains) -> SampledErrors:
+    """Return the errors of the loop of a controller with these gains."""
+    return SampledErrors.of(controller.plant, gains, on_estimates(controller))
 
 
 def _beyond(controller: ProvedController, gains: SampledGains) -> str:
     """Return why nothing is tried; "" where it is."""
     if controller.plant.watched is not None and gains.jitter:
         return "ticks come early and late, and the program runs cells that are merged in the design"
-    plant, square = controller.plant, len(controller.plant.tracked) == controller.plant.B.shape[1]
-    if plant.loads is not None and (plant.loads.inputs(plant.exact.B) is None or not (square or not controller.form)):
-        return "loads that are estimated do not only act at inputs, one for each tracked output"
-    return too_much(plant, gains)
+    if missing := refused(controller.plant, controller.form, gains.jitter):
+        return missing
+    return too_much(controller.plant, gains, on_estimates(controller))
 
 
 def _candidates(controller: ProvedController, asked: Asked, made: SampledGains) -> Iterator[SampledGains]:
@@ -179,10 +189,11 @@ def _proved(controller: ProvedController, tried: Sequence[SampledGains]) -> Samp
     if missing := _beyond(controller, tried[0]):
         return SampledLoop(gains=tried[0], proof=None, missing=missing)
     design = controller.plant, controller.design.K, controller.design.L
-    found = (with_forms(controller.plant, gains) for gains in tried)
+    estimates = on_estimates(controller)
+    found = (with_forms(controller.plant, gains, estimates) for gains in tried)
     gains, proof = next((each for each in found if each is not None), (tried[0], None))
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
-    return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, merged=merged)
+    return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
 
 
 def _same(one: SampledGains, other: SampledGains) -> bool:

@@ -18,11 +18,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
-from pwatrack.ball_matrix import above
+from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
 from pwatrack.claims.practical import Practical
-from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row
@@ -182,17 +182,25 @@ class SampledBounds(Claim):
         n, gains = len(controller.plant.B), self.errors.gains
         if gains.delay or gains.jitter or not (seen.sampled and self.anywhere):
             return {}  # what waits at the start is not seen, nor what time the program counts
-        e, delta, h = seen.start[:n], seen.start[n:], gains.sample_time  # after the tick at t = 0
-        rho = np.zeros(self.errors.R.shape[0])
-        first = np.concatenate([e, gains.K @ (e + delta[:n]), delta, rho])
+        h, firsts = gains.sample_time, self._firsts(seen.start[:n], seen.start[n:])
         most = dict.fromkeys(self.anywhere, np.full(len(seen.t), np.inf))
         for one in (one for each in self.tubes.values() for one in each):
-            size, ticks = in_ellipsoid(one.Q[0], first) * OVER_POWERS, np.floor(seen.t / h * (1 - _ROUNDED))
+            size, ticks = max(in_ellipsoid(one.Q[0], z) for z in firsts), np.floor(seen.t / h * (1 - _ROUNDED))
             fallen = np.exp(-one.a / 2 * seen.t + np.log1p(-one.b) / 2 * ticks)
             for form, each in zip(most, one.sizes, strict=True):
-                most[form] = np.minimum(most[form], each * size * fallen)
+                most[form] = np.minimum(most[form], each * size * OVER_POWERS * fallen)
         at = np.floor(seen.t / h * gains.substeps).astype(np.int64)
         return {form: _around(each, at) + most[form] for form, each in self.anywhere.items()}
+
+    def _firsts(self, e: Array, delta: Array) -> list[Array]:
+        """Return what z may be after the tick at t = 0, (order,) each, for x less the x_d of the program."""
+        errors, of = self.errors, self.errors.estimates
+        if of is not None:
+            e = e + of.x_d.floats[:, : of.loads] @ delta[len(e) :]
+        columns = (BallMatrix.of(v[:, None], (len(v), 1)) for v in (e, delta, np.zeros(0 if of is None else of.eta)))
+        rho = np.zeros(errors.R.shape[0])
+        each = ((nu.floats[:, 0], rest.floats[:, 0]) for nu, rest in errors.put_out(*columns))
+        return [np.concatenate([e, nu, delta, rho, rest]) for nu, rest in each]
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return what acts, what 1 of it leaves of each signal, and what all of it does."""
@@ -260,7 +268,7 @@ def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[Clocked
         if loop.proof is not None and asked.acting is not None:
             merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
             deviations = [(merge.column, float(np.nextafter(float(merge.largest), np.inf))) for merge in merged]
-            errors = SampledErrors.of(controller.plant, loop.gains, deviations)
+            errors = replace(errors_of(controller, loop.gains), deviations=deviations)
             acts = asked.acting(controller, errors)
             if acts is not None:
                 yield loop.proof, errors, acts

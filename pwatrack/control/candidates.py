@@ -37,17 +37,11 @@ _WORTH_IT = 0.95  # of the norm: while a closer bound makes it smaller than that
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A gain to prove.
+    """A gain to prove."""
 
-    Attributes:
-        K: (m, n), as it will be printed: `short`.
-        P: (n, n), which may prove it; None where there is no guess.
-        margin: Of the inequality that it is from, where A and P have size 1.
-    """
-
-    K: Array
-    P: Array | None = None
-    margin: float = np.nan
+    K: Array  # (m, n), as it will be printed: `short`
+    P: Array | None = None  # (n, n), which may prove it; None where there is no guess
+    margin: float = np.nan  # of the inequality that it is from, where A and P have size 1
 
 
 class Candidates:

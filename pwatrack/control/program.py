@@ -26,36 +26,22 @@ _LARGEST = 1e100  # of an entry of a map that a machine may use
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """From a tick on some neighbouring entries of w go on from other values.
+    """From a tick on some neighbouring entries of w go on from other values."""
 
-    Attributes:
-        tick: Which one.
-        start: The first of the entries.
-        w: Their values at that tick.
-    """
-
-    tick: int
-    start: int
-    w: Array
+    tick: int  # which one
+    start: int  # the first of the entries
+    w: Array  # their values at that tick
 
 
 @dataclass(frozen=True, kw_only=True)
 class Follows:
-    """A reference that the program makes itself.
+    """A reference that the program makes itself."""
 
-    Attributes:
-        turn: w one sample later, 2¹⁰ and 2²⁰ samples later, as far as these are in range, (1 … 3, s, s).
-        w0: w at the first tick, (s,).
-        pieces: In order of time.
-        end: The last tick at which it is defined, or None.
-        early: w at the ticks before the first that it is for, where inputs are for later ones, (ahead, s).
-    """
-
-    turn: Array
-    w0: Array
-    pieces: tuple[Piece, ...]
-    end: int | None
-    early: Array
+    turn: Array  # w one sample later, 2¹⁰ and 2²⁰ samples later, as far as these are in range, (1 … 3, s, s)
+    w0: Array  # w at the first tick, (s,)
+    pieces: tuple[Piece, ...]  # in order of time
+    end: int | None  # the last tick at which it is defined, or None
+    early: Array  # w at the ticks before the first that it is for, where inputs are for later ones, (ahead, s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,51 +50,34 @@ class SampledController:
 
     Rows on v = (y, u, x̂, ŝ, η̂, w) and a last entry for the constant 1; columns that are always 0 are left out. Where
     it corrects, η̂ and w are those of the time at which u acts.
-
-    Attributes:
-        sampling: Sample time, how observer and generator step, how late u is.
-        substeps: In how many steps a prediction is made, each in the cell in which it begins; 1 where none is.
-        H, h, signs: The cells of x̂, (K, n), (K,), (l, K).
-        guards, sides: Those of x_d: rows on (ŝ, η̂, w, 1) that are 0 where one ends, and on which side of these it is,
-            (k, C), (d, k). They are fewer than those of x̂ where cells are merged.
-        observer: x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1). Where it
-            corrects: predicted, one substep later, on (u, x̂, ŝ, 1), (l, N, m + N + 1).
-        C: What would be measured, on (x̂, ŝ), (q, N).
-        M: What a difference of that to y corrects of (x̂, ŝ), (N, q); (0, q) where nothing is corrected.
-        generator: η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (d, p, C).
-        x_d: x_d in its cell, on the same, (d, n, C).
-        u_ff: u_ff in the cell of x_d, on the same, (d, m, C).
-        K: (m, n).
-        limits: Lower and upper limit of each input, (m, 2); infinite for none.
-        change: By how much each may change from one sample to the next, (m,); likewise.
-        quantum: Steps of each input, (m,); 0 for none.
-        follows: Where w comes from; None if it is given at each tick.
-        reference: Names of the entries of w, where it is given.
-        pace: Of each output whose set-points are given, and not w: where it starts, and the limits of its speed,
-            acceleration, jerk and what is beyond, up to the relative degree, (outputs, 4 … 6); (0, 4) where w is given.
-        set_range: What each set-point may be, (outputs, 2): one beyond counts as its end; infinite for any.
     """
 
-    sampling: Sampling
-    substeps: int
-    H: Array
-    h: Array
-    signs: IntArray
-    guards: Array
-    sides: IntArray
+    sampling: Sampling  # sample time, how observer and generator step, how late u is
+    substeps: int  # in how many steps a prediction is made, each in the cell in which it begins; 1 where none is
+    H: Array  # of the cells of x̂, (K, n)
+    h: Array  # likewise, (K,)
+    signs: IntArray  # (l, K)
+    # of the cells of x_d, which are fewer where cells are merged: rows on (ŝ, η̂, w, 1)
+    guards: Array  # that are 0 where one ends, (k, C)
+    sides: IntArray  # on which side of these each is, (d, k)
+    # x̂ and ŝ one sample later, in the cell of x̂, on (y, u, x̂, ŝ, 1), (l, N, q + m + N + 1). Where it corrects:
+    # predicted, one substep later, on (u, x̂, ŝ, 1), (l, N, m + N + 1)
     observer: Array
-    C: Array
-    M: Array
-    generator: Array
-    x_d: Array
-    u_ff: Array
-    K: Array
-    limits: Array
-    change: Array
-    quantum: Array
-    follows: Follows | None
-    reference: tuple[str, ...] = ()
+    C: Array  # what would be measured, on (x̂, ŝ), (q, N)
+    M: Array  # what a difference of that to y corrects of (x̂, ŝ), (N, q); (0, q) where nothing is corrected
+    generator: Array  # η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (d, p, C)
+    x_d: Array  # x_d in its cell, on the same, (d, n, C)
+    u_ff: Array  # u_ff in the cell of x_d, on the same, (d, m, C)
+    K: Array  # (m, n)
+    limits: Array  # lower and upper limit of each input, (m, 2); infinite for none
+    change: Array  # by how much each may change from one sample to the next, (m,); likewise
+    quantum: Array  # steps of each input, (m,); 0 for none
+    follows: Follows | None  # where w comes from; None if it is given at each tick
+    reference: tuple[str, ...] = ()  # names of the entries of w, where it is given
+    # of each output whose set-points are given, and not w: where it starts, and the limits of its speed, acceleration,
+    # jerk and what is beyond, up to the relative degree, (outputs, 4 … 6); (0, 4) where w is given
     pace: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    # what each set-point may be, (outputs, 2): one beyond counts as its end; infinite for any
     set_range: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property

@@ -93,25 +93,27 @@ def faded(added: Array, fall: float) -> Array:
 def driven(errors: SampledErrors, channel: Channel) -> Drive:
     """Return how 1 of what acts enters z; what is measured counts with the other sign."""
     (kind, k), (n, m, N, *_), d, order = channel, errors.widths, errors.predicted, errors.order
-    nothing, first = zero(order, 1), n + m + d * N
+    nothing, first, rest = zero(order, 1), n + m + d * N, zero(sum(errors.more), 1)
     if kind == "noise":
-        M = BallMatrix.of(errors.gains.M[:, [k]])
-        kick = zero(m, 1) if errors.gains.delay else BallMatrix.of(errors.gains.K) @ M.part(range(n), [0])
-        return Drive(held=nothing, between=nothing, ticks=above(zero(n, 1), kick, M, zero(order - n - m - N, 1)))
+        M, nothing_yet = BallMatrix.of(errors.gains.M[:, [k]]), zero(sum(errors.more[1:]), 1)
+        put_out = errors.put_out(zero(n, 1), zero(N, 1) if errors.gains.delay else M, nothing_yet)
+        others = zero(order - n - m - N - sum(errors.more), 1)
+        kicks = [above(zero(n, 1), nu, M, others, rest) for nu, rest in put_out]
+        return Drive(held=nothing, between=nothing, ticks=kicks)
     if kind in ("disturbance", "deviation"):
         one = _unit(n, k) if kind == "disturbance" else errors.deviations[k][0]
         if kind == "deviation" and errors.plant.watched is not None:
-            return Drive(held=nothing, between=above(one, zero(m + d * N, 1), *d * [errors.R @ one]))
+            return Drive(held=nothing, between=above(one, zero(m + d * N, 1), *d * [errors.R @ one], rest))
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":
         at = pivots(errors.R.centre)[k]
         column = errors.mean.part(range(n), [at])
-        nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column])
+        nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column], rest)
         return Drive(held=_unit(order, at), between=nothing - nominal)
     if kind == "input":
         return Drive(held=_unit(order, n + k), between=nothing)
-    return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)]), between=nothing)
+    return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)], rest), between=nothing)
 
 
 def row(errors: SampledErrors, form: Form) -> BallMatrix:

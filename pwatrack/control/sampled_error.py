@@ -28,8 +28,13 @@ from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; wh
 
 ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n,
 steps of the generator beside (15), and what merged cells leave out act from outside. Where the program predicts all
-cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all. Of other loads ŝ would move
-x_d and ω: nothing is said of these.
+cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all.
+
+Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the true s, e' has (c_j − A_i [X, N]) ε and not
+−E σ_0, and z has ε and δ more, held as ν is: see `estimated_loads`. At a tick
+
+    ε⁺ = (σ_0⁺ or with delay σ_{d−1}, δ),   ν⁺ = K (e + Δ_0⁺ or Δ_{d−1} − [X, N] ε⁺) + u_a Q(F_a) F_j ε⁺,
+    δ⁺ = [ε⁺ + P(F_a) F_j ε⁺]_η
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,6 +46,7 @@ from itertools import permutations, product
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, zero
+from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.vertices import held_rows, outermost, outermost_cells
 from pwatrack.lmi.clocked import Clocked
@@ -62,6 +68,7 @@ class SampledErrors:
         R: Rows that span the rows of these, each with a column in which it alone is 1.
         deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
             at most.
+        estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
     """
 
     plant: PWASystem
@@ -71,17 +78,16 @@ class SampledErrors:
     changes: Sequence[BallMatrix]
     R: BallMatrix
     deviations: Sequence[tuple[BallMatrix, float]] = ()
+    estimates: OnEstimates | None = None
 
     @classmethod
-    def of(
-        cls, plant: PWASystem, gains: SampledGains, deviations: Sequence[tuple[BallMatrix, float]] = ()
-    ) -> "SampledErrors":
+    def of(cls, plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None) -> "SampledErrors":
         """Find cells and changes that the others are means of."""
         cells = outermost_cells(plant)
         seen = cells if plant.watched is None else outermost_cells(plant.watched)
         changes, own = (outermost([one - other for one, other in permutations(each, 2)]) for each in (seen, cells))
         R = held_rows(changes if plant.watched is None else [*changes, *own], plant.B.shape[0])
-        return cls(plant=plant, gains=gains, cells=cells, seen=seen, changes=changes, R=R, deviations=deviations)
+        return cls(plant=plant, gains=gains, cells=cells, seen=seen, changes=changes, R=R, estimates=estimates)
 
     @property
     def predicted(self) -> int:
@@ -95,9 +101,14 @@ class SampledErrors:
 
     @cached_property
     def widths(self) -> tuple[int, ...]:
-        """Of e, ν, each (Δ_i, σ_i) and each ρ_i."""
+        """Of e, ν, each (Δ_i, σ_i), each ρ_i, and of ε and δ where x_d or u_ff depends on estimates."""
         (n, m), N, q = self.plant.B.shape, self.plant.observed.C.shape[1], self.R.shape[0]
-        return n, m, *[N] * self.predicted, *[q] * self.predicted
+        return n, m, *[N] * self.predicted, *[q] * self.predicted, *self.more
+
+    @property
+    def more(self) -> tuple[int, ...]:
+        """How many entries ε and δ have."""
+        return () if self.estimates is None else (self.estimates.x_d.shape[1], self.estimates.eta)
 
     @property
     def parts(self) -> int:
@@ -126,26 +137,23 @@ class SampledErrors:
     @property
     def clocked(self) -> Clocked:
         """They as a system with a clock, in the time of the program."""
-        (n, m, *others), held = self.widths, self.predicted * self.R.shape[0]
-        ends = BallMatrix.of(np.diag([1.0] * (self.order - held) + [0.0] * held))
+        (n, m, *others), held, rest = self.widths, self.predicted * self.R.shape[0], sum(self.more)
+        ends = BallMatrix.of(np.diag([1.0] * (self.order - held - rest) + [0.0] * held + [1.0] * rest))
         return Clocked(
             F=different([F for pace in self.paces for F in self._flows(pace)]),
-            J=[self.tick],
+            J=self.ticks,
             period=Real.of(self.gains.sample_time).centre,
             parts=self.parts,
             between=ends if self.parts > 1 else None,
-            blocks=(n + m, *others[: self.predicted], *[1] * held),
+            blocks=(n + m, *others[: self.predicted], *[1] * held, *[rest] * bool(rest)),
         )
 
     def _flows(self, pace: Fraction) -> list[BallMatrix]:
         """Return what they obey between ticks that are a share of h apart."""
         plant, d, (n, m, N, *_), found = self.plant, self.predicted, self.widths, list[BallMatrix]()
-        loads = plant.loads
-        seen = self.seen if loads is None else [loads.observed(A) for A in self.seen]
-        minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
+        seen = self.seen if plant.loads is None else [plant.loads.observed(A) for A in self.seen]
         pushes = [change.part(range(n), pivots(self.R.centre)) for change in self.changes] or [zero(n, 0)]
-        for A_i in self.cells:
-            e = self._row(n, {0: A_i, 1: plant.exact.B} | minus)
+        for e in self._driven():
             late = above(e.times(1 - pace), zero(N - n, self.order))
             for predicted in product(product(seen, pushes), repeat=d):
                 Delta, rho = list[BallMatrix](), list[BallMatrix]()
@@ -153,20 +161,53 @@ class SampledErrors:
                     row = self._row(N, {2 + i: A_j, 2 + d + i: above(push, zero(N - n, push.shape[1]))})
                     Delta.append(row + late)
                     rho.append(self.R @ (e + row.part(range(n), range(self.order))))
-                found.append(above(e.times(pace), zero(m, self.order), *Delta, *rho))
+                rest = zero(sum(self.more), self.order)
+                found.append(above(e.times(pace), zero(m, self.order), *Delta, *rho, rest))
         return found
 
+    def _driven(self) -> list[BallMatrix]:
+        """Return e' where ticks are h apart."""
+        (n, _, N, *_), B, loads, at = self.widths, self.plant.exact.B, self.plant.loads, 2 + 2 * self.predicted
+        if self.estimates is not None:
+            D = self.estimates.x_d
+            return [
+                self._row(n, {0: A_i, 1: B, at: c - A_i @ D}) for A_i, c in product(self.cells, self.estimates.moves)
+            ]
+        minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
+        return [self._row(n, {0: A_i, 1: B} | minus) for A_i in self.cells]
+
     @property
-    def tick(self) -> BallMatrix:
-        """What a tick makes of them."""
-        plant, gains, d, (n, m, N, *_) = self.plant, self.gains, self.predicted, self.widths
-        K, U, eye = BallMatrix.of(gains.K), zero(m, N - n), BallMatrix(identity(N))
-        if gains.delay and plant.loads is not None:
-            U = BallMatrix.of(np.eye(m)[:, list(plant.loads.inputs(plant.exact.B) or ())])
-        corrected, acts = eye + BallMatrix.of(gains.M) @ plant.observed.C, beside(K, zero(m, N - n) - U)
-        nu = self._row(m, {0: K, 1 + d: acts if gains.delay else acts @ corrected})
+    def ticks(self) -> list[BallMatrix]:
+        """What a tick makes of them, J: several where x_d or u_ff depends on estimates."""
+        d, (n, _, N, *_), eye = self.predicted, self.widths, BallMatrix(identity(self.widths[2]))
+        corrected = eye + BallMatrix.of(self.gains.M) @ self.plant.observed.C
+        seen = self._row(N, {1 + d: eye} if self.gains.delay else {2: corrected})  # what the input is made of
         Delta = [self._row(N, {2: corrected}), *(self._row(N, {1 + i: eye}) for i in range(1, d))]
-        return above(self._row(n, {0: BallMatrix(identity(n))}), nu, *Delta, zero(d * self.R.shape[0], self.order))
+        e, rho = self._row(n, {0: BallMatrix(identity(n))}), zero(d * self.R.shape[0], self.order)
+        last = BallMatrix(identity(sum(self.more[1:])))
+        delta = self._row(last.shape[0], {len(self.widths) - 1: last} if self.more else {})
+        return [above(e, nu, *Delta, rho, rest) for nu, rest in self.put_out(e, seen, delta)]
+
+    def put_out(self, e: BallMatrix, seen: BallMatrix, delta: BallMatrix) -> list[tuple[BallMatrix, BallMatrix]]:
+        """Return ν after a tick, and below each other ε and δ, from e, the (Δ, σ) it is made of and δ, as columns."""
+        K, (n, m, N, *_), columns = BallMatrix.of(self.gains.K), self.widths, range(e.shape[1])
+        nu, sigma = K @ (e + seen.part(range(n), columns)), seen.part(range(n, N), columns)
+        if self.estimates is None:
+            if self.gains.delay and self.plant.loads is not None:
+                U = BallMatrix.of(np.eye(m)[:, list(self.plant.loads.inputs(self.plant.exact.B) or ())])
+                nu = nu - U @ sigma
+            return [(nu, zero(0, len(columns)))]
+        found, epsilon = list[tuple[BallMatrix, BallMatrix]](), above(sigma, delta)
+        for vertex in self._held:
+            more = vertex @ epsilon
+            rest = above(epsilon, more.part(range(m, vertex.shape[0]), columns))
+            found.append((nu - K @ self.estimates.x_d @ epsilon + more.part(range(m), columns), rest))
+        return found
+
+    @cached_property
+    def _held(self) -> list[BallMatrix]:
+        assert self.estimates is not None
+        return self.estimates.vertices(Real.of(self.gains.sample_time).centre)
 
     def _row(self, height: int, blocks: Mapping[int, BallMatrix]) -> BallMatrix:
         """Return rows on z that are 0 but for some blocks."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.vertices import outermost_cells
@@ -21,36 +22,44 @@ _MOST_OF_MANY = 13_000  # the same where many sample times are looked at: each t
 _NEAR = 0.05  # of the longest sample time: how near to it one is looked for
 _DIGITS = 3  # of a sample time that is looked at
 _DOUBLINGS = 6  # of a sample time, or halvings, until one is found that is proved and one that is not
+_MOST_TURNED = 20.0  # h times the size of what x_d and u_ff are made of: beyond it a sample is no short time
 _MOST_CELLS = 200  # of a hull, that are looked at one by one
 
 
-def too_much(plant: PWASystem, gains: SampledGains) -> str:
+def too_much(plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None) -> str:
     """Say why nothing is tried; "" where it is."""
     if not (np.isfinite(gains.K).all() and np.isfinite(gains.M).all()):
         return "its gains are out of range: a sample is too long"
     if _least_work(plant, gains) > _MOST_WORK:
         return "its cells are too many"
-    errors = SampledErrors.of(plant, gains)
-    if _work(errors) > _MOST_WORK:
+    if estimates is not None and estimates.turned(gains.sample_time) > _MOST_TURNED:
+        return "what x_d is made of turns too far in a sample"
+    errors = SampledErrors.of(plant, gains, estimates)
+    if _work(errors) > _most(errors):
         return f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
     return ""
 
 
-def with_forms(plant: PWASystem, gains: SampledGains) -> tuple[SampledGains, ClockedProof] | None:
+def with_forms(
+    plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None
+) -> tuple[SampledGains, ClockedProof] | None:
     """Return gains with as many substeps as a proof needs, and that proof; None where none is found."""
-    errors = SampledErrors.of(plant, gains)
-    for finer, knots in _tried(errors, _MOST_WORK):
+    errors = SampledErrors.of(plant, gains, estimates)
+    for finer, knots in _tried(errors, _most(errors)):
         proof = fastest(finer.clocked, knots=knots)
         if proof is not None:
             return finer.gains, proof
     return None
 
 
-def longest(plant: PWASystem, K: Array, L: Array, near: SampledGains) -> float | None:
+def longest(
+    plant: PWASystem, K: Array, L: Array, near: SampledGains, estimates: OnEstimates | None = None
+) -> float | None:
     """Return the longest sample time (s) that is found, to 5 %, for which gains made of K and L for it are proved.
 
     Args:
         near: Gains whose sample time is looked at first; their delay and jitter are those of the others.
+        estimates: How x_d and u_ff depend on estimates.
     """
 
     def at(h: float) -> tuple[float, None] | None:
@@ -58,9 +67,9 @@ def longest(plant: PWASystem, K: Array, L: Array, near: SampledGains) -> float |
         if not h > near.jitter:
             return None
         gains = sampled_gains(plant, K, L, Sampling(sample_time=h, delay=near.delay, jitter=near.jitter))
-        if too_much(plant, gains):
+        if too_much(plant, gains, estimates):
             return None
-        for errors, knots in _tried(SampledErrors.of(plant, gains), _MOST_OF_MANY)[-1:]:
+        for errors, knots in _tried(SampledErrors.of(plant, gains, estimates), _MOST_OF_MANY)[-1:]:
             if clocked_proof(errors.clocked, knots=knots) is not None:
                 return h, None
         return None
@@ -95,10 +104,16 @@ def _work(errors: SampledErrors) -> int:
     return _inequalities(errors) * errors.order**2
 
 
+def _most(errors: SampledErrors) -> int:
+    """Return how much an auditor may have to do: with estimates numbers are long, and take twice as many steps."""
+    return _MOST_WORK if errors.estimates is None else _MOST_WORK // 2
+
+
 def _inequalities(errors: SampledErrors) -> int:
     """Return how many there are between ticks, for one segment in each substep."""
     of_each = len(errors.seen) * max(1, len(errors.changes))
-    return int(2 * errors.parts * len(errors.paces) * len(errors.cells) * of_each**errors.predicted)
+    moves = 1 if errors.estimates is None else len(errors.estimates.moves)
+    return int(2 * errors.parts * len(errors.paces) * len(errors.cells) * moves * of_each**errors.predicted)
 
 
 def _least_work(plant: PWASystem, gains: SampledGains) -> int:

@@ -363,17 +363,8 @@ class _Worked:
 
 
 _IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
-_WORK = (
-    "g",
-    "source",
-    "seen",
-    "moved",
-    "missed",
-    "going",
-    "lasting",
-    "bending",
-    "made",
-)  # parts of the room that are not remembered
+# parts of the room that are not remembered
+_WORK = ("g", "source", "seen", "moved", "missed", "going", "lasting", "bending", "made")
 
 
 class _Named(ast.NodeTransformer):

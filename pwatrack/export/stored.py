@@ -14,6 +14,7 @@ from pwatrack.arrays import Array
 from pwatrack.claims.decay import ends_below, sentences
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.set_points import SetPoints
+from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given
 from pwatrack.control.program import PACE, Follows, Piece, SampledController, program
@@ -21,6 +22,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Outside, Sampled
 from pwatrack.model.conditions import Conditions
+from pwatrack.model.loads import Loads
 from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
@@ -262,17 +264,7 @@ def _refused(path: Path, what: str, hint: str = "") -> InvalidSpec:
 
 
 def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
-    plant, added, loads = controller.plant, controller.compensation, None
-    model = plant.model
-    if plant.loads is not None:
-        loads = {
-            "names": list(plant.loads.names),
-            "where": list(plant.loads.where),
-            "E": plant.loads.E.floats.tolist(),
-            "S": plant.loads.S.floats.tolist(),
-            "x_d": added.X.floats.tolist(),
-            **_lists(added, "u_ff", "rate"),
-        }
+    plant, model = controller.plant, controller.plant.model
     return {
         "states": list(plant.states),
         "inputs": list(plant.inputs),
@@ -284,7 +276,19 @@ def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         **_lists(model, "A", "b"),
         **_lists(plant, "B", "C"),
         "tracked_rows": plant.tracked.tolist(),
-        "loads": loads,
+        "loads": None if plant.loads is None else loads_content(plant.loads, controller.compensation),
+    }
+
+
+def loads_content(loads: Loads, added: Compensation) -> dict[str, Any]:
+    """Return what is said of loads, and of what their estimates add: to u_ff and to the rate of eta_hat by cell."""
+    return {
+        "names": list(loads.names),
+        "where": list(loads.where),
+        "E": loads.E.floats.tolist(),
+        "S": loads.S.floats.tolist(),
+        "x_d": added.X.floats.tolist(),
+        **_lists(added, "u_ff", "rate"),
     }
 
 

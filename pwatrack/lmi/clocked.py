@@ -35,36 +35,24 @@ Scaled = tuple[Rational, Sequence[Fraction]]  # a form, and about the roots of i
 
 @dataclass(frozen=True, kw_only=True)
 class Clocked:
-    """A switched system with a clock, exact.
+    """A switched system with a clock, exact."""
 
-    Attributes:
-        F: What z obeys between ticks, (n, n) each, in 1/s.
-        J: What a tick makes of z, (n, n) each.
-        period: h in s.
-        parts: r, of equal length.
-        between: R, what the end of each part but the last makes of z; None where there is one part.
-        blocks: Sizes of parts of z that hardly act on each other in a circle, one after the other; () if not known.
-    """
-
-    F: Sequence[BallMatrix]
-    J: Sequence[BallMatrix]
-    period: Fraction
-    parts: int = 1
+    F: Sequence[BallMatrix]  # what z obeys between ticks, (n, n) each, in 1/s
+    J: Sequence[BallMatrix]  # what a tick makes of z, (n, n) each
+    period: Fraction  # h in s
+    parts: int = 1  # r, of equal length
+    # R, what the end of each part but the last makes of z; None where there is one part
     between: BallMatrix | None = None
+    # sizes of parts of z that hardly act on each other in a circle, one after the other; () if not known
     blocks: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockedProof:
-    """P_0 … P_N ≻ 0 of each part that satisfy the inequalities above, proved exactly.
+    """P_0 … P_N ≻ 0 of each part that satisfy the inequalities above, proved exactly."""
 
-    Attributes:
-        P: At the knots, those of the first part first.
-        rate: α, a short decimal in 1/s.
-    """
-
-    P: tuple[Packed, ...]
-    rate: float
+    P: tuple[Packed, ...]  # at the knots, those of the first part first
+    rate: float  # α, a short decimal in 1/s
 
 
 def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedProof | None:

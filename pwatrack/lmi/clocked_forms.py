@@ -5,19 +5,23 @@ in what a form loses in a period at the largest rate. Of many vertices few decid
 not satisfy are added, until all are satisfied.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
+from typing import TypeVar
 
+import clarabel
 import numpy as np
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from pwatrack.arrays import Array, balancing
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.margin_program import MarginProgram
+from pwatrack.lmi.chain_map import Bound, ChainMap, Term
+from pwatrack.lmi.cone_program import minimise, sparsely, symmetric_of, upper
+from pwatrack.lmi.primal_dual import least
 
-_ALL = 8  # vertices up to which all are asked for at once
+_FIRST = 8  # vertices that are asked for at first, at each end of a segment; of fewer all
 _WORST = 4  # vertices that are added for each end of a segment where some are not satisfied
 _ROUNDS = 12  # in which vertices are added
 _HELD = 0.02  # of the margin that was found: what every other vertex is to keep
@@ -25,44 +29,34 @@ _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not 
 _AGAIN = 2  # times that forms are looked for in coordinates of those that were found, before a larger rate is
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
+_GAP = 1e-2  # share of the margin that may be missed
+SMALL = 5  # order up to which Clarabel is quicker than our own method
 _OF_P = 0.01  # share of the margin that P_k ⪰ 0 is to keep
 
+Found = TypeVar("Found")
 Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
 
 
 @dataclass(frozen=True)
 class Forms:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        P: At the knots, (n, n) each.
-        rate: That they seem to prove, in 1/s.
-    """
-
-    P: list[Array]
-    rate: float
+    P: list[Array]  # at the knots, (n, n) each
+    rate: float  # that they seem to prove, in 1/s
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockedForms:
-    """The program for one system.
+    """The program for one system."""
 
-    Attributes:
-        F: Vertices of what z obeys between ticks, (v, n, n).
-        J: Those of what a tick makes of it, (w, n, n).
-        R: What the end of a part of the period makes of it, (n, n).
-        parts, knots, period: As in `clocked`.
-        near: A form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates.
-    """
-
-    F: Array
-    J: Array
-    R: Array
-    parts: int
+    F: Array  # vertices of what z obeys between ticks, (v, n, n)
+    J: Array  # those of what a tick makes of it, (w, n, n)
+    R: Array  # what the end of a part of the period makes of it, (n, n)
+    parts: int  # as in `clocked`, as the next two
     knots: int
     period: float
-    near: Array | None = None
-    _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
+    near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
+    asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def part(self, where: slice) -> "ClockedForms":
         """Return the program for some entries of z, as if there were no others."""
@@ -118,25 +112,41 @@ class ClockedForms:
         """Return forms that satisfy all inequalities at a rate with the largest margin, or None."""
         if rate >= self.most:
             return None
-        L, asked = self.coordinates, self._asked
+        L = self.coordinates
         back, weight = np.linalg.inv(L), np.eye(len(L)) * min(1.0, 2 * self.most * self.period)
         F, J, R = (L @ X @ back for X in (self.F + rate * np.eye(len(L)), self.J, self.R))
-        first = range(len(F)) if len(F) <= _ALL else np.unique(np.linspace(0, len(F) - 1, _ALL).astype(int)).tolist()
+        found = self.of_few(
+            lambda: self._solved(F, J, R, weight),
+            lambda found, s: _least(self.left(found[0], s, F) - _HELD * found[1] * self.share * weight),
+            _WORST,
+        )
+        if found is None:
+            return None
+        forms = [L.T @ P_k @ L for P_k in found[0]]
+        return Forms(forms, self.rate(forms))
+
+    def of_few(
+        self, solved: Callable[[], Found | None], least: Callable[[Found, Segment], Array], worst: int
+    ) -> Found | None:
+        """Return what is found for the vertices that are asked for and does for all, or None.
+
+        Those that it does for the least, so many at each end of a segment, are asked for, too: `least` is what is left
+        of the inequality of each vertex there.
+        """
+        first = np.unique(np.linspace(0, len(self.F) - 1, _FIRST).astype(int)).tolist()
         for segment in self.segments:
-            asked.setdefault(segment, list(first))
+            self.asked.setdefault(segment, list(first))
         for _ in range(_ROUNDS):
-            found = self._solved(F, J, R, weight)
+            found, added = solved(), 0
             if found is None:
                 return None
-            P, margin = found
-            least = {s: _least(self.left(P, s, F) - _HELD * margin * self.share * weight) for s in self.segments}
-            wanted = {s: [i for i in np.argsort(v)[:_WORST].tolist() if v[i] < 0] for s, v in least.items()}
-            added = {s: [i for i in new if i not in asked[s]] for s, new in wanted.items()}
-            if not any(added.values()):
-                forms = [L.T @ P_k @ L for P_k in P]
-                return Forms(forms, self.rate(forms))
-            for s, new in added.items():
-                asked[s] += new
+            for segment, asked in self.asked.items():
+                left = least(found, segment)
+                new = [i for i in np.argsort(left)[:worst].tolist() if left[i] < 0 and i not in asked]
+                asked += new
+                added += len(new)
+            if not added:
+                return found
         return None
 
     def fastest(self, most: float, looks: int) -> tuple[float, Forms] | None:
@@ -204,7 +214,7 @@ class ClockedForms:
             program.add({k: less}, _OF_P * weight)
         for before, after, X, share in self.jumps(J, R):
             program.add({before: less, after: (X.T / 2, X)}, share * weight)
-        for segment, vertices in self._asked.items():
+        for segment, vertices in self.asked.items():
             k, after, e = segment
             for i in vertices:
                 terms = {k: less, after: more}
@@ -216,3 +226,59 @@ class ClockedForms:
 def _least(X: Array) -> Array:
     """Return the least eigenvalue of each of some symmetric matrices."""
     return np.asarray(np.linalg.eigvalsh((X + X.transpose(0, 2, 1)) / 2)[:, 0])
+
+
+class MarginProgram:
+    """max t with Σ_k (L_jk P_k R_jk + R_jkᵀ P_k L_jkᵀ) + t T_j ⪯ 0 for all j, P_0 of mean eigenvalue 1.
+
+    Example: −P_0 + t I ⪯ 0.
+
+        >>> program = MarginProgram(2, 1)
+        >>> program.add({0: program.less}, np.eye(2))
+        >>> _, t = program.solved()
+        >>> 0.98 < t < 1.01
+        True
+    """
+
+    def __init__(self, n: int, count: int) -> None:
+        self.n, self.count, self.size = n, count, n * (n + 1) // 2
+        self.basis = symmetric_of(np.eye(self.size), n)  # of size 1 each
+        self.less, self.more = (-np.eye(n) / 2, np.eye(n)), (np.eye(n) / 2, np.eye(n))  # −P and P
+        self.bounds: list[Bound] = []
+
+    def image(self, L: Array, R: Array) -> Array:
+        """Return the matrix of P ↦ L P R + Rᵀ P Lᵀ."""
+        half = L @ self.basis @ R
+        return upper(half + half.transpose(0, 2, 1)).T
+
+    def add(self, terms: Mapping[int, Term], T: Array) -> None:
+        """Ask for Σ (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T ⪯ 0, with L and R of each k."""
+        self.bounds.append(Bound(terms, T))
+
+    def solved(self) -> tuple[Array, float] | None:
+        """Return P, (count, n, n), and t > 0, or None."""
+        found = self._by_cones() if self.n <= SMALL else self._by_form()
+        return None if found is None or not found[1] > 0 or not np.isfinite(found[0]).all() else found
+
+    def _by_form(self) -> tuple[Array, float] | None:
+        chain = ChainMap(self.bounds, self.count)
+        v = least(chain, gap=_GAP)
+        return None if v is None else (chain.matrices(v), float(v[-1]))
+
+    def _by_cones(self) -> tuple[Array, float] | None:
+        """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
+        size, width = self.size, self.count * self.size
+        unit = upper(np.eye(self.n))
+        images = [
+            {k: self.image(*term) for k, term in bound.terms.items()} | {self.count: upper(bound.T)[:, None]}
+            for bound in self.bounds
+        ]
+        images.append({0: np.outer(unit, unit) / self.n})  # the mean eigenvalue of P_0, at most 1
+        G = sparsely(images, size, width + 1)
+        cones = [clarabel.PSDTriangleConeT(self.n)] * len(images)
+        cost, sides = np.append(np.zeros(width), -1.0), np.append(np.zeros(len(self.bounds) * size), unit)
+        try:
+            x = np.array(minimise(cost, G, sides, cones, _GAP).x)
+        except ArithmeticError:
+            return None
+        return np.tensordot(x[:-1].reshape(self.count, size), self.basis, 1), float(x[-1])

@@ -1,10 +1,11 @@
 """What a bounded scalar can do to a switched system with a clock: tubes that depend on the time since a tick.
 
 Let z be as in `clocked`, and driven by a scalar |d| ≤ 1, z' = F(t) (z + E d) + G d between ticks, or z⁺ = J z + Γ d at
-them. With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part of the period, and g_i = F_i E + G,
+them, (J, Γ) in the hull of (J_j, Γ_j). With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part of the
+period, and g_i = F_i E + G,
 
     −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i g_iᵀ / a ≺ 0    for e = k and e = k + 1, all k, all i
-    R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ Γᵀ / b ≺ Q_0 of the first, for all j
+    R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ_j Γ_jᵀ / b ≺ Q_0 of the first, for all j
 
 V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 − b) V + b d² at them; what acts only at one of both has
 a = 0 or b = 0 at the other, without the last term. So from z = 0 always V ≤ 1, from everywhere V ends below 1, and
@@ -38,36 +39,22 @@ _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalit
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """How a scalar acts: between ticks or at them.
+    """How a scalar acts: between ticks or at them."""
 
-    Attributes:
-        held: E, (n, 1): beside what of z.
-        between: G, (n, 1).
-        ticks: Γ, (n, 1); None where it acts between ticks.
-    """
-
-    held: BallMatrix
-    between: BallMatrix
-    ticks: BallMatrix | None = None
+    held: BallMatrix  # E, (n, 1): beside what of z
+    between: BallMatrix  # G, (n, 1)
+    ticks: Sequence[BallMatrix] | None = None  # Γ_j, (n, 1), one for each J_j; None where it acts between ticks
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tube:
-    """Q_0 … Q_N ≻ 0 of each part that satisfy the inequalities above, proved exactly, and c Q_k cᵀ ≤ size² for rows c.
+    """Q_0 … Q_N ≻ 0 of each part that satisfy the inequalities above, proved exactly; c Q_k cᵀ ≤ size² for rows c."""
 
-    Attributes:
-        Q: At the knots, those of the first part first.
-        a: In 1/s, a short decimal; 0 where d acts at ticks.
-        b: A short decimal; 0 where d acts between ticks.
-        sizes: One for each c, rounded up.
-        summed: Whether it is one of what is summed.
-    """
-
-    Q: tuple[Packed, ...]
-    a: float
-    b: float
-    sizes: tuple[float, ...]
-    summed: bool = False
+    Q: tuple[Packed, ...]  # at the knots, those of the first part first
+    a: float  # in 1/s, a short decimal; 0 where d acts at ticks
+    b: float  # a short decimal; 0 where d acts between ticks
+    sizes: tuple[float, ...]  # one for each c, rounded up
+    summed: bool = False  # whether it is one of what is summed
 
     def spread(self, rows: Array) -> Array:
         """Return max_k (c Q_k cᵀ)^½ for other rows c, (s, n), in floating point, a little more."""
@@ -102,9 +89,9 @@ def tube(
     if ticks is not None:
         a, b = 0.0, rounded_down(-float(np.expm1(-decay * float(system.period))), 3)
     g = np.array([(F @ driven.held + driven.between).floats[:, 0] for F in system.F])
-    kick = np.zeros(g.shape[1]) if ticks is None else ticks.floats[:, 0]
+    kicks = np.array([np.zeros(g.shape[1])] * len(system.J) if ticks is None else [X.floats[:, 0] for X in ticks])
     for slack in _SLACKS:
-        found = program.smallest(g, kick, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
+        found = program.smallest(g, kicks, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
         if found is None:
             return None
         for bits in _BITS:
@@ -157,8 +144,9 @@ def _columns(system: Clocked, driven: Drive) -> list[BallMatrix]:
 def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Packed]], b: Fraction) -> Iterator[Rational]:
     """Yield what is to be positive definite at ticks and at the ends of parts."""
     first, last = parts[0][0], parts[-1][-1]
-    kicked = first.P if driven.ticks is None else first.P - square_above(driven.ticks, [1 / b], first.scale)
-    for J in system.J:
+    kicks: Sequence[BallMatrix | None] = driven.ticks or [None] * len(system.J)
+    for J, kick in zip(system.J, kicks, strict=True):
+        kicked = first.P if kick is None else first.P - square_above(kick, [1 / b], first.scale)
         yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
     for before, after in pairwise(parts):
         assert system.between is not None

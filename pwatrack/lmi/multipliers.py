@@ -86,25 +86,17 @@ def whole(Z: Mapping[int, Rational]) -> dict[int, tuple[tuple[int, ...], ...]]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Faces:
-    """Where multipliers are looked for: Z_i = N_iᵀ V_i N_i with Z_i R = 0.
+    """Where multipliers are looked for: Z_i = N_iᵀ V_i N_i with Z_i R = 0."""
 
-    Attributes:
-        A: The matrices A_i in floating point, (l, n, n), and
-        exact_A: the same exactly.
-        B: That of `refutes`.
-        R: (n, ρ).
-        N: N_i (k_i, n).
-        bases: Orthonormal columns of the same spans, (n, k_i).
-    """
-
-    A: Array
-    exact_A: Sequence[Rational]
-    B: Rational | None
-    R: Rational
-    N: Sequence[Rational]
+    A: Array  # the matrices A_i in floating point, (l, n, n)
+    exact_A: Sequence[Rational]  # the same exactly
+    B: Rational | None  # that of `refutes`
+    R: Rational  # (n, ρ)
+    N: Sequence[Rational]  # N_i (k_i, n)
 
     @cached_property
     def bases(self) -> list[Array]:
+        """Orthonormal columns of the same spans, (n, k_i)."""
         return [np.linalg.qr(floats(N_i).T)[0] for N_i in self.N]
 
     def sought(self, cells: Sequence[int], gap: float) -> list[Array] | None:

@@ -44,7 +44,6 @@ from pwatrack.rational import (
     middle,
     number,
     symmetric,
-    working_bits,
 )
 
 _BITS = 192  # of the balls: modes far apart in speed lose many of them
@@ -67,7 +66,7 @@ def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[fl
 
     None where eigenvalues cannot be told apart, or one does not decay.
     """
-    with working_bits(_BITS):
+    with flint.ctx.workprec(_BITS):
         matrix = _complex(M)
         try:
             rates, vectors = matrix.eig(right=True)
@@ -200,7 +199,7 @@ def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
     square = w.transpose() * w
     right = -square - identity(n) * number(_INSIDE * sum((fraction_of(square[j, j]) for j in range(n)), Fraction(0)))
     column = flint.fmpq_mat([[right[j, k]] for j in range(n) for k in range(j, n)])
-    with working_bits(_PRECISION):
+    with flint.ctx.workprec(_PRECISION):
         found = middle(flint.arb_mat(lyapunov_map(M)).solve(flint.arb_mat(column))).entries()
     largest = max(map(abs, found))
     digits = _DIGITS - (int(largest.p).bit_length() - int(largest.q).bit_length()) // 2
@@ -211,7 +210,7 @@ def _observed(M: Rational, c: Rational) -> tuple[Rational, int]:
 def _enclosed(
     M: Rational, g: Rational, c: Rational, P: Rational, Q: Rational, a: Fraction, unit: int, steps: list[int]
 ) -> Fraction:
-    with working_bits(_PRECISION):
+    with flint.ctx.workprec(_PRECISION):
         flows = [(flint.arb_mat(M) * flint.arb(2) ** unit).exp()]
         while len(flows) <= max(steps, default=0):
             flows.append(flows[-1] * flows[-1])

@@ -28,7 +28,7 @@ from picos.solvers.solver import Solver as PicosSolver
 from scipy import sparse
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.cone_program import minimise
+from pwatrack.lmi.cone_program import minimise, symmetric_of
 from pwatrack.lmi.inequality import Inequality, Solver
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
@@ -156,7 +156,8 @@ class ClarabelSolver(PicosSolver):  # type: ignore[misc]
             G, h = self._affine(constraint.smaller - constraint.greater)
             if isinstance(constraint, LMIConstraint):
                 order = constraint.size[0]
-                take, weight = _upper_triangle(order)
+                column, row = np.tril_indices(order)
+                take, weight = column * order + row, np.where(row == column, 1.0, np.sqrt(2.0))  # as `upper` has it
                 G, h = sparse.diags(weight) @ G[take], weight * h[take]
                 cones.append(clarabel.PSDTriangleConeT(order))
             elif constraint.is_equality():
@@ -206,15 +207,4 @@ def _dual(constraint: Any, z: Any) -> Any:
     """Return what PICOS calls the dual: a matrix for a semidefinite constraint."""
     if not isinstance(constraint, LMIConstraint):
         return cvxopt.matrix(z if not constraint.is_equality() else -z)
-    order = constraint.size[0]
-    take, weight = _upper_triangle(order)
-    Z = np.zeros(order * order)
-    Z[take] = z / weight
-    Z = Z.reshape(order, order)
-    return cvxopt.matrix(Z + Z.T - np.diag(Z.diagonal()))
-
-
-def _upper_triangle(order: int) -> tuple[Any, Any]:
-    """Return the entries Clarabel wants of a symmetric matrix: column by column, off-diagonals times √2."""
-    column, row = np.tril_indices(order)
-    return column * order + row, np.where(row == column, 1.0, np.sqrt(2.0))
+    return cvxopt.matrix(symmetric_of(z, constraint.size[0]))

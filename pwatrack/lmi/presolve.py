@@ -22,7 +22,7 @@ import scipy
 from scipy.linalg import qr, solve_continuous_are, solve_continuous_lyapunov
 
 from pwatrack.arrays import Array, IntArray, balancing
-from pwatrack.rational import Rational, doubles, floats, middle, working_bits
+from pwatrack.rational import Rational, doubles, floats, middle
 
 _ROUNDING = 1e-9  # of the largest entry of a column of numbers: what is nearer than that is called equal
 _HULLS = range(2, 5)  # dimensions in which all corners are found, in little time
@@ -228,7 +228,7 @@ class Precise:
     @classmethod
     def of_stable(cls, M: Rational, W: Rational) -> "Precise | None":
         """Return coordinates in which the P of M P + P Mᵀ = −W is I, where doubles do not hold it; else None."""
-        with working_bits(_BITS):
+        with flint.ctx.workprec(_BITS):
             P = _riccati(M.transpose(), 0 * W, W)
             root = None if P is None else _root(P)
             return None if P is None or root is None else cls._of(middle(root), middle(root.inv()))
@@ -248,7 +248,7 @@ class Precise:
             >>> Precise.of_regulator(A, decimals(np.eye(2)), decimals(np.eye(2)), decimals(np.eye(2))) is None
             True
         """
-        with working_bits(_BITS):
+        with flint.ctx.workprec(_BITS):
             act = R.inv() * B.transpose()
             X = _riccati(A, B * act, Q)
             root = None if X is None else _root(X)

@@ -44,29 +44,19 @@ _ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
 
 @dataclass(frozen=True, kw_only=True)
 class Region(StartEllipsoid):
-    """Q with what is proved above, around G diag(1 / w) Gᵀ; no weights where it is from every start.
+    """Q with what is proved above, around G diag(1 / w) Gᵀ; no weights where it is from every start."""
 
-    Attributes:
-        H: (m, N), decimals. Its sizes are those of H_j z; all are 0 where H = 0.
-    """
-
-    H: Array
+    H: Array  # (m, N), decimals; the sizes are those of H_j z, and all are 0 where H = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedLoop:
-    """z' = M z + B (v − D z).
+    """z' = M z + B (v − D z)."""
 
-    Attributes:
-        M: The matrices M_p, (N, N).
-        B, D: Of the inputs that have limits, (N, m) and (m, N).
-        inners: Q of the loop without limits: they say which coordinates are good ones.
-    """
-
-    M: Sequence[BallMatrix]
-    B: BallMatrix
-    D: BallMatrix
-    inners: Sequence[Inner]
+    M: Sequence[BallMatrix]  # the matrices M_p, (N, N)
+    B: BallMatrix  # of the inputs that have limits, (N, m)
+    D: BallMatrix  # likewise, (m, N)
+    inners: Sequence[Inner]  # Q of the loop without limits: they say which coordinates are good ones
 
     @property
     def work(self) -> int:
@@ -210,22 +200,14 @@ class LimitedFound:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedGain:
-    """What is asked.
+    """What is asked."""
 
-    Attributes:
-        A, B: (p, n, n) and (n, m).
-        shift: What a rate adds to A while no limit is reached, (n, n).
-        starts: Boxes G ζ, |ζ_k| ≤ 1, each (n, k).
-        room: By how much each input may differ from its feedforward, (m,); infinite where it has no limit.
-        over: Of its room, what K may ask of an input from the starts: at 1 no limit is reached.
-    """
-
-    A: Array
-    B: Array
-    shift: Array
-    starts: Sequence[Array]
-    room: Array
-    over: float
+    A: Array  # (p, n, n)
+    B: Array  # (n, m)
+    shift: Array  # what a rate adds to A while no limit is reached, (n, n)
+    starts: Sequence[Array]  # boxes G ζ, |ζ_k| ≤ 1, each (n, k)
+    room: Array  # by how much each input may differ from its feedforward, (m,); infinite where it has no limit
+    over: float  # of its room, what K may ask of an input from the starts: at 1 no limit is reached
 
     def cheapest(self, rows: Array) -> LimitedFound | None:
         """Return the gain of the least worst cost of rows (k, n) of z and of its inputs, with all starts inside."""

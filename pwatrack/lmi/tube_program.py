@@ -5,43 +5,34 @@ decide: those that the tubes found so far do not satisfy are added, until all ar
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, looked_for
+from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.primal_dual import least
 
 _GAP = 1e-3  # share of the cost that may be missed
-_FIRST = 8  # vertices that are asked for at first, at each end of a segment
-_WORST = 8  # that are added there where some are not satisfied
-_ROUNDS = 12  # in which they are added
+_WORST = 8  # vertices that are added at each end of a segment where some are not satisfied
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
-
-Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
 
 
 @dataclass(frozen=True, kw_only=True)
 class TubeProgram:
-    """Looks for tubes of one system; what the search for one finds out about vertices serves the next.
+    """Looks for tubes of one system; what the search for one finds out about vertices serves the next."""
 
-    Attributes:
-        system: What z obeys.
-        near: A form P_0 that is proved to fall, (n, n).
-        knots: Segments of each part.
-    """
-
-    system: Clocked
-    near: Array
-    knots: int
-    _asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
+    system: Clocked  # what z obeys
+    near: Array  # a form P_0 that is proved to fall, (n, n)
+    knots: int  # segments of each part
 
     def smallest(
         self,
         g: Array,
-        kick: Array,
+        kicks: Array,
         rows: Array,
         weights: Array,
         *,
@@ -54,7 +45,7 @@ class TubeProgram:
 
         Args:
             g: What drives z' at each vertex, (v, n).
-            kick: Γ, (n,).
+            kicks: Γ_j, (w, n).
             rows, weights: c, (s, n), and of each, (s,).
             a, b: As in `clocked_tubes`.
             slack: Share of the size of what drives by which inequalities are to hold.
@@ -63,7 +54,7 @@ class TubeProgram:
         L = np.linalg.cholesky(self.near).T
         back = np.linalg.inv(L)
         F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
-        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), L @ kick / np.sqrt(b or np.inf)
+        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), kicks @ L.T / np.sqrt(b or np.inf)
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
@@ -74,33 +65,28 @@ class TubeProgram:
         pushed, holding = (np.tile(a * rest, (len(F), 1, 1)), squares) if summed else (squares, squares[:0])
         between = self.system.between
         R = np.eye(len(L)) if between is None else L @ between.floats @ back
-        jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kicking, kicking) / size) for J_j in J]
+        each = zip(J, kicking, strict=True)
+        jumps = [(J_j / np.sqrt(1 - b), rest + np.outer(kick, kick) / size) for J_j, kick in each]
         holds = [
             Bound({k: (-np.eye(len(L)) / 2, np.eye(len(L)))}, X) for X in _unlike(holding) for k in range(self.count)
         ]
         found = self._solved(F + a / 2 * np.eye(len(L)), pushed, jumps, (R, rest), W, holds)
         return None if found is None else [size * back @ Q @ back.T for Q in found]
 
+    @cached_property
+    def clock(self) -> ClockedForms:
+        """Knots and segments, and which vertices matter, as far as that is known."""
+        return looked_for(self.system, self.knots)
+
     @property
     def most(self) -> float:
         """No z falls faster for all vertices, in 1/s: what one does by itself."""
-        return looked_for(self.system, self.knots).most
+        return self.clock.most
 
     @property
     def count(self) -> int:
         """How many knots there are."""
         return self.system.parts * (self.knots + 1)
-
-    @property
-    def step(self) -> float:
-        """Time between knots."""
-        return float(self.system.period) / (self.system.parts * self.knots)
-
-    @property
-    def segments(self) -> list[Segment]:
-        """Both ends of all segments."""
-        starts = [j * (self.knots + 1) + k for j in range(self.system.parts) for k in range(self.knots)]
-        return [(k, k + 1, e) for k in starts for e in (k, k + 1)]
 
     def _solved(
         self,
@@ -116,34 +102,28 @@ class TubeProgram:
         ends = range(size, self.count, size)
         fixed += [self._kept(j - 1, j, R, np.eye(len(W)), rest) for j in ends]
         fixed += [self._kept(self.count - 1, 0, J, self._seen(J), above) for J, above in jumps]
-        first = np.unique(np.linspace(0, len(F) - 1, _FIRST).astype(int)).tolist()
-        for segment in self.segments:
-            self._asked.setdefault(segment, list(first))
-        for _ in range(_ROUNDS):
-            bounds = fixed + [self._bound(s, F[i], pushed[i]) for s, some in self._asked.items() for i in some]
+
+        def solved() -> Array | None:
+            asked = self.clock.asked.items()
+            bounds = fixed + [self._bound(s, F[i], pushed[i]) for s, some in asked for i in some]
             chain = ChainMap(bounds, self.count, W / self.count)
             found = least(chain, gap=_GAP)
-            if found is None:
-                return None
-            Q, added = chain.matrices(found), 0
-            for segment, asked in self._asked.items():
-                k, after, e = segment
-                product = F @ Q[e]
-                left = Q[after] - Q[k] - self.step * (product + product.transpose(0, 2, 1) + pushed)
-                lowest = np.linalg.eigvalsh(left)[:, 0]
-                new = [i for i in np.argsort(lowest)[:_WORST].tolist() if lowest[i] < 0 and i not in asked]
-                asked += new
-                added += len(new)
-            if not added:
-                return Q
-        return None
+            return None if found is None else chain.matrices(found)
+
+        def lowest(Q: Array, segment: Segment) -> Array:
+            k, after, e = segment
+            product = F @ Q[e]
+            left = Q[after] - Q[k] - self.clock.step * (product + product.transpose(0, 2, 1) + pushed)
+            return np.asarray(np.linalg.eigvalsh(left)[:, 0])
+
+        return self.clock.of_few(solved, lowest, _WORST)
 
     def _bound(self, segment: Segment, F: Array, pushed: Array) -> Bound:
         """Return −(Q_{k+1} − Q_k) + step (F Q_e + Q_e Fᵀ + pushed) ⪯ 0."""
         (k, after, e), eye = segment, np.eye(len(F))
         terms = {k: eye / 2, after: -eye / 2}
-        terms[e] = terms[e] + self.step * F
-        return Bound({j: (L, eye) for j, L in terms.items()}, self.step * pushed)
+        terms[e] = terms[e] + self.clock.step * F
+        return Bound({j: (L, eye) for j, L in terms.items()}, self.clock.step * pushed)
 
     @staticmethod
     def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
@@ -153,7 +133,7 @@ class TubeProgram:
     def _seen(self, J: Array) -> Array:
         """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
         U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
-        return np.asarray(U.T / np.sqrt(np.clip(s, self.most * float(self.system.period), 1.0))[:, None])
+        return np.asarray(U.T / np.sqrt(np.clip(s, self.most * self.clock.period, 1.0))[:, None])
 
 
 def _unlike(matrices: Array) -> Array:

@@ -32,28 +32,18 @@ _TOUCHING = {"leaving": (1, -1, 0), "": (0, 1, -1), "closing": (1, 0, 1)}
 class Contact:
     """Adds direction · f to ẋ.
 
-    Attributes:
-        name: For the names of the cells.
-        of: s.
-        rate: ṡ.
-        stiffness: Of the spring.
-        damping: Of the damper.
-        upper: Where s touches.
-        lower: Where it touches on the other side, or None.
-        direction: (n,).
-
     Raises:
         ValueError: If stiffness or damping is not positive, rate is a multiple of s, or there is no gap.
     """
 
-    name: str
-    of: LinearForm
-    rate: LinearForm
-    stiffness: Real
-    damping: Real
-    upper: Real
-    lower: Real | None = None
-    direction: Any
+    name: str  # for the names of the cells
+    of: LinearForm  # s
+    rate: LinearForm  # ṡ
+    stiffness: Real  # of the spring
+    damping: Real  # of the damper
+    upper: Real  # where s touches
+    lower: Real | None = None  # where it touches on the other side, or None
+    direction: Any  # (n,)
 
     def __post_init__(self) -> None:
         """Refuse numbers that make none."""

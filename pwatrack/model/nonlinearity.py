@@ -129,11 +129,15 @@ class Nonlinearity:
     constant: Number  # of the linear form
     direction: Any  # (n,)
 
+    @cached_property
+    def of(self) -> LinearForm:
+        """s, exactly."""
+        return LinearForm(tuple(map(Real.of, self.row)), Real.of(self.constant))
+
     @property
     def planes(self) -> list[LinearForm]:
         """Forms that are 0 at its breakpoints."""
-        row = tuple(map(Real.of, self.row))
-        return [LinearForm(row, Real.of(self.constant) - s) for s in self.function.breakpoints]
+        return [self.of - s for s in self.function.breakpoints]
 
     @property
     def segments(self) -> tuple[str, ...]:
@@ -143,9 +147,8 @@ class Nonlinearity:
     @cached_property
     def forms(self) -> tuple[LinearForm, ...]:
         """What φ(row · x + constant) is on each segment."""
-        of = LinearForm(tuple(map(Real.of, self.row)), Real.of(self.constant))
         pieces = zip(self.function.slopes, self.function.intercepts, strict=True)
-        return tuple(of * slope + rest for slope, rest in pieces)
+        return tuple(self.of * slope + rest for slope, rest in pieces)
 
     @cached_property
     def alike(self) -> tuple[int, ...]:

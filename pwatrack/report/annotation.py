@@ -2,6 +2,8 @@
 
 import json
 import re
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from rich.cells import cell_len
@@ -14,6 +16,28 @@ _MESSAGE = str.maketrans({"%": "%25", "\r": "%0D", "\n": "%0A"})
 _PROPERTY = _MESSAGE | str.maketrans({":": "%3A", ",": "%2C"})
 _WIDEST = 100  # characters of a line that are shown
 _LARGEST = 4 * 2**20  # bytes of a file that is looked into
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobFault:
+    """One thing that is wrong: what, its code, what helps, and where it stands if that is known."""
+
+    message: str
+    code: str = ""
+    hint: str = ""
+    place: Place | None = None
+
+    @property
+    def text(self) -> str:
+        """What is wrong and what helps."""
+        return self.message + (f"\nhint: {self.hint}" if self.hint else "")
+
+
+def faults(error: PwatrackError) -> tuple[JobFault, ...]:
+    """Return what is wrong, one by one."""
+    codes = (code_of(problem.message, error.code) for problem in error.problems)
+    both = zip(error.problems, codes, strict=True)
+    return tuple(JobFault(message=p.message, code=code, hint=p.hint, place=p.place) for p, code in both)
 
 
 def excerpt(place: Place, message: str) -> list[str]:
@@ -61,30 +85,20 @@ def annotation(text: str, *, title: str, file: str, line: int | None = None, col
     return f"::error file={file}{place},title={title}::{text.translate(_MESSAGE)}"
 
 
+def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], str] = str) -> str:
+    """Return a workflow command for a fault; `said` makes its text one that a terminal may have."""
+    line, column = (fault.place.line, fault.place.column) if fault.place else (None, None)
+    return annotation(said(fault.text), title=f"{title} {fault.code}".rstrip(), file=file, line=line, column=column)
+
+
 def annotations(error: PwatrackError) -> list[str]:
     """Return a workflow command for each problem of a refusal."""
-    return [
-        annotation(
-            problem.message + (f"\nhint: {problem.hint}" if problem.hint else ""),
-            title=f"{error.code.verdict} {code_of(problem.message, error.code)}",
-            file=problem.place.file if problem.place else "",
-            line=problem.place.line if problem.place else None,
-            column=problem.place.column if problem.place else None,
-        )
-        for problem in error.problems
-    ]
+    verdict = error.code.verdict
+    return [annotated(f, title=verdict, file=f.place.file if f.place else "") for f in faults(error)]
 
 
 def as_json(error: PwatrackError) -> str:
     """Return a refusal as one line of JSON."""
-    problems = [
-        {
-            "code": code_of(p.message, error.code),
-            "message": p.message,
-            "hint": p.hint,
-            "place": {"file": p.place.file, "line": p.place.line, "column": p.place.column} if p.place else None,
-        }
-        for p in error.problems
-    ]
+    problems = [{"code": fault.code, **asdict(fault)} for fault in faults(error)]
     notes = [note.strip() for note in getattr(error, "__notes__", ())]
     return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})

@@ -17,10 +17,11 @@ from pwatrack.claims.exact_text import (
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import STATEMENT, data
 from pwatrack.claims.robust import Robust
-from pwatrack.control.compensation import compensation
+from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Given
+from pwatrack.export.stored import loads_content
 from pwatrack.lmi.audit.reading import FORMAT, number
 from pwatrack.lmi.dichotomy import NoDichotomy
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
@@ -94,7 +95,7 @@ def output_form(spec: Spec, directions: Any = None) -> NormalForm:
 
 def generator_content(generator: TrajectoryGenerator) -> dict[str, Any]:
     """Return the content of generator.json: (15) and (16) in doubles."""
-    form, shift = generator.form, generator.shift
+    form, shift, loads = generator.form, generator.shift, generator.form.plant.loads
     return {
         "relative_degrees": list(form.degrees),
         "eta": list(form.eta_names),
@@ -109,25 +110,13 @@ def generator_content(generator: TrajectoryGenerator) -> dict[str, Any]:
         "gamma": form.gamma.tolist(),
         "right_inverse": form.right_inverse.tolist(),
         "shift": None if shift is None else shift.tolist(),
-        "loads": _compensation_content(form, played_back=generator.played_back),
+        "loads": None if loads is None else loads_content(loads, _added(generator)),
     }
 
 
-def _compensation_content(form: NormalForm, *, played_back: bool) -> dict[str, Any] | None:
-    """Return what estimates s_hat of loads add: to x_d, to u_ff and to the rate of eta_hat, the last two by cell."""
-    loads = form.plant.loads
-    if loads is None:
-        return None
-    added = compensation(form.plant, form, len(form.eta_names), played_back=played_back)
-    return {
-        "names": list(loads.names),
-        "where": list(loads.where),
-        "E": loads.E.floats.tolist(),
-        "S": loads.S.floats.tolist(),
-        "x_d": added.X.floats.tolist(),
-        "u_ff": added.u_ff.tolist(),
-        "rate": added.rate.tolist(),
-    }
+def _added(generator: TrajectoryGenerator) -> Compensation:
+    form = generator.form
+    return compensation(form.plant, form, len(form.eta_names), played_back=generator.played_back)
 
 
 def bound_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def plant_rows(report: Applicability, name: str) -> Iterator[Row]:
     orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
     said = [orders, f"tracks {', '.join(plant.tracked_names)}, measures {', '.join(plant.outputs)}"]
     if form is not None and report.zero_dynamics is not None:
-        stable = "stable in each cell" if (report.zero_dynamics.real < 0).all() else "NOT stable in each cell"
+        stable = "stable in each cell" if (report.zero_dynamics.real < 0).all() else "not stable in some cell"
         internal = f"internal states {', '.join(form.eta_names)}, {stable}" if form.eta_names else "no internal states"
         said += [f"relative degree {form.degrees_text}", internal]
     yield "plant", "; ".join([*said, name])

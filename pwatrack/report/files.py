@@ -422,8 +422,7 @@ def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], 
     if not picture:
         return {}
     from pwatrack.report.plots.canvas import png
-    from pwatrack.report.plots.region import starts_in_plane
-    from pwatrack.report.plots.spread import fan
+    from pwatrack.report.plots.spread import fan, starts_in_plane
 
     plane = {"starts.png": png(starts_in_plane(many))} if many.variation.over == "plane" else {}
     return {"ensemble.png": png(fan(many, checked))} | plane

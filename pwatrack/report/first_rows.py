@@ -5,7 +5,7 @@ All of it is of claims, figures and `workflow.cautions`; what has room is decide
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import degrees
+from math import degrees, isfinite
 
 from pwatrack.arrays import amount, number_text
 from pwatrack.claims.limits import NoSaturation
@@ -26,16 +26,16 @@ from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _ENDS = {  # how a run ended, and by which measure
-    "tracks": "tracks to 1 %",
+    "tracks": "tracks",
     "within its bound": "within its proved bound",
-    "off": "off by more than 1 %",
+    "off": "does NOT track",
 }
 _PARTS = {  # of what is not as the theorems assume
     "limits": "limits",
     "noise": "noise",
     "disturbance": "disturbance",
     "parameters": "other parameters",
-    "quanta": "steps",
+    "quanta": "quantisation",
     "rates": "rate limits",
 }
 _EXPECTED = ("sampling", "limits", "noise")  # of the file of a machine
@@ -85,14 +85,15 @@ def _verdict(
     ended: str = "designed" if result is None else result.outcome.kind
     if ended in ("grows", "above its bound"):
         return f"NOT READY: {ended}"
-    if ended == "off" and any("final_error" in each.requirement.figure for each in checked):
-        ended = "as required"
+    if ended == "off" and not any("final_error" in each.requirement.figure for each in checked):
+        return "NOT READY: error above 1 %"
+    ended = "as required" if ended == "off" else ended
     odd = ((assessment.warnings, "warning"), (assessment.questions, "question"))
     if heed := ", ".join(amount(len(texts), name) for texts, name in odd if texts):
-        return f"NOT READY: {heed}" if assessment.warnings else f"{ended}; {heed}"
+        return f"NOT READY: {heed}" if assessment.warnings else f"{ended}; IS THE PLANT RIGHT? {heed}"
     absent = [name for name in _EXPECTED if getattr(spec.scenario.conditions, name) is None]
     if absent:
-        return f"{ended}; " + ("an ideal model" if len(absent) == 3 else f"no {', no '.join(absent)} in the file")
+        return f"{ended}; without {', '.join(absent)}"
     return f"{ended}; {'proved as it runs' if whole else 'partly proved'}"
 
 
@@ -114,8 +115,8 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
     yield from (("missed", each.text) for each in checked if not each.met)
     if result is not None:
         how, outcome = _conditions(result), result.outcome
-        late = number_text(0.9 * result.end, ".6g")
-        said = f"{_ENDS.get(outcome.kind)}, error ≤ {outcome.final} from {late} s on; {outcome.largest} before"
+        said = f"{_ENDS.get(outcome.kind)}, error ≤ {outcome.final} in the last tenth; {outcome.largest} before"
+        said += "; 'tracks' is 1 % of reference and start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
         figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
@@ -132,7 +133,9 @@ def _conditions(result: SimulatedLoop) -> str:
     """Say what the loop that ran had, in a word or two each, and what it had not."""
     conditions = result.loop.conditions
     had = [said for name, said in _PARTS.items() if getattr(conditions, name) is not None]
-    had = ["sampled", *had] if conditions.sampling is not None else had or ["ideal loop"]
+    if conditions.sampling is not None:
+        had.insert(0, f"sampled every {number_text(conditions.sampling.sample_time)} s")
+    had = had or ["ideal loop"]
     return ", ".join([f"{result.end:g} s", *had])
 
 
@@ -142,9 +145,10 @@ def _margins(controller: ProvedController, assessment: Assessment) -> Iterator[R
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in margins.gain)
         phase, delay = f"{degrees(margins.phase):.3g}", number_text(margins.delay, ".3g")
-        cells = f"phase {phase}°, delay {delay} s; gain × {low} to {high}"
-        across = f"; the proof across cells holds for K ± {100 * of_K:.2g} %" * bool(of_K)
-        yield "margins", f"each cell alone: {cells}{across}"
+        across = f"proof: K ± {100 * of_K:.2g} %; " * bool(of_K)
+        ends = [f"above × {low}"] * bool(margins.gain[0]) + [f"below × {high}"] * isfinite(margins.gain[1])
+        gain = " and ".join(ends) or "any"
+        yield "margins", f"cell by cell: phase {phase}°, delay {delay} s; {across}gain {gain}"
 
 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[str]:

@@ -50,15 +50,10 @@ _GOING, _COMING = "going.json", "coming.json"  # the index while files of the ea
 
 @dataclass
 class Left:
-    """What a run leaves that is made on another machine than its folder is on.
+    """What a run leaves that is made on another machine than its folder is on."""
 
-    Attributes:
-        index: What `read_index` finds there: first that of the earlier run, if there is one.
-        files: What each file holds, once there is a run.
-    """
-
-    index: dict[str, Any] | None = None
-    files: dict[str, bytes] | None = None
+    index: dict[str, Any] | None = None  # what `read_index` finds there: first that of the earlier run, if there is one
+    files: dict[str, bytes] | None = None  # what each file holds, once there is a run
 
     def write(self, path: str | Path) -> None:
         """Write it where it belongs, if there is a run, as if it had been made there; raises as `run_folder`."""

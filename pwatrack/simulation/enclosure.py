@@ -120,7 +120,7 @@ class Transitions:
 
     def levels(self, length: Array) -> IntArray:
         """Return the least d with length ≤ s 2ᵈ, (P,)."""
-        found = np.ceil(np.log2(length / self.s))
+        found = np.ceil(np.log2(np.maximum(length / self.s, TINY)))  # where nothing moves s is very large
         found += self.s * 2.0**found < length
         return np.asarray(np.maximum(found, _DEEPEST), dtype=np.int64)
 

@@ -28,22 +28,15 @@ Frequencies = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """What the loop of one cell may be changed by at one input before it is not stable.
+    """What the loop of one cell may be changed by at one input before it is not stable."""
 
-    Attributes:
-        cell, input: Which.
-        gain: Between which factors the input may be scaled; from 0, to infinity, where nothing ends it.
-        phase: By how much it may be turned to either side, in rad; π where the gain is 1 at no frequency.
-        delay: By how much it may be late, in s; infinite likewise.
-        crossover: The highest frequency at which the gain is 1, in rad/s; 0 where there is none.
-    """
-
-    cell: int
-    input: int
+    cell: int  # which
+    input: int  # likewise
+    # between which factors the input may be scaled; from 0, to infinity, where nothing ends it
     gain: tuple[float, float]
-    phase: float
-    delay: float
-    crossover: float
+    phase: float  # by how much it may be turned to either side, in rad; π where the gain is 1 at no frequency
+    delay: float  # by how much it may be late, in s; infinite likewise
+    crossover: float  # the highest frequency at which the gain is 1, in rad/s; 0 where there is none
 
 
 def loop_margins(controller: ProvedController) -> list[Margins]:

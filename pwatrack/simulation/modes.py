@@ -11,17 +11,11 @@ NOTHING = 1e-12  # of the fastest eigenvalue: one that is less is that of an int
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """A mode of a matrix: one eigenvalue, or a pair of conjugate ones.
+    """A mode of a matrix: one eigenvalue, or a pair of conjugate ones."""
 
-    Attributes:
-        frequency: |λ| in rad/s, 0 of an integrator.
-        damping: −Re λ / |λ|: 1 where it does not oscillate, 0 where it is not damped, below 0 where it runs away.
-        time_constant: −1 / Re λ in s: negative where it runs away, infinite where it is not damped.
-    """
-
-    frequency: float
-    damping: float
-    time_constant: float
+    frequency: float  # |λ| in rad/s, 0 of an integrator
+    damping: float  # −Re λ / |λ|: 1 where it does not oscillate, 0 where it is not damped, below 0 where it runs away
+    time_constant: float  # −1 / Re λ in s: negative where it runs away, infinite where it is not damped
 
 
 def modes(A: Array) -> list[Mode]:

@@ -35,8 +35,8 @@ def sampling_remarks(controller: ProvedController, conditions: Conditions) -> tu
             h = claim.gains.sample_time
             but = f"{h:g} s are too long for a proof: " if claim.proof is None and claim.longest < h else ""
             said.append(
-                f"{but}the longest sample time found at which the sampled loop is proved, with gains made for it, is "
-                f"{claim.longest:g} s"
+                f"{but}with other gains, made for it, a proof was found up to a sample time of {claim.longest:g} s; "
+                "it is not about these gains"
             )
     return tuple(said)
 

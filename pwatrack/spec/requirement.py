@@ -1,5 +1,6 @@
-"""What a run may be required to achieve: the figures of run.json by name, and limits of them."""
+"""What a run may be required to achieve: figures of run.json by name, and their limits, in units that Pint knows."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -12,10 +13,10 @@ from pwatrack.simulation.enclosure import CLOSE
 from pwatrack.spec.entries import sized_real, two_limits
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.section import Context, Fault, Faults
-from pwatrack.spec.unit import split, times
 from pwatrack.spec.wording import guess, shown
 
 _HERE = "require"
+_WITH_UNIT = re.compile(r"(.*?[\w.)])\s+([A-Za-zµμΩ°].*)")
 _ROUNDING = 1e-12  # of a figure
 _ENCLOSED = CLOSE + _ROUNDING  # likewise, of one that is a bound on what is between samples
 
@@ -245,3 +246,43 @@ def _share(value: Any, context: Context) -> float:
     if not 0 < share <= 1:
         raise ValueError(f"{shown(value)} is no share of the members: 'all', or for example 95%")
     return share
+
+
+def split(text: str) -> tuple[str, str]:
+    """Return the number of a text, and the unit behind it; '' where there is none.
+
+    Example:
+        >>> split("0.5 mm"), split("2*k N m"), split("a + b"), split("1e-3")
+        (('0.5', 'mm'), ('2*k', 'N m'), ('a + b', ''), ('1e-3', ''))
+    """
+    found = _WITH_UNIT.fullmatch(text.strip())
+    return (found[1], found[2]) if found else (text, "")
+
+
+def times(unit: str, into: str) -> float:
+    """Return by what a number in one unit is multiplied to be in another.
+
+    Raises:
+        ValueError: If these are not of one kind, or a unit is not known.
+
+    Example:
+        >>> times("mm", "m"), times("N", "N"), round(times("deg", "rad"), 6)
+        (0.001, 1.0, 0.017453)
+        >>> times("mm", "s")
+        Traceback (most recent call last):
+        ValueError: 'mm' is no unit of what is in 's'
+    """
+    if unit == into:
+        return 1.0
+    if not into:
+        raise ValueError(f"{shown(unit)}: what this is about has no unit: give a number alone")
+    from pint import PintError, UnitRegistry
+
+    known: Any = UnitRegistry(cache_folder=None)
+    try:
+        zero, one = (float(known.Quantity(v, unit).to(into).magnitude) for v in (0.0, 1.0))
+    except (PintError, AttributeError, ValueError, TypeError, AssertionError):
+        raise ValueError(f"{shown(unit)} is no unit of what is in {shown(into)}") from None
+    if zero:  # degrees that begin elsewhere: of a difference other numbers would be right than of a temperature
+        raise ValueError(f"{shown(unit)} begins at another zero than {shown(into)}: give the number in that")
+    return one

@@ -79,7 +79,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     ends = claims[0].under(controller, acting) if acting and claims else {}
     condition = f"while {acting_text(spec.words, acting)}"
     for sampled in filter(None, (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))):
-        acts = {"noise": "noise", "quanta": "steps", "disturbance": "disturbance"}
+        acts = {"noise": "noise", "quanta": "quantisation", "disturbance": "disturbance"}
         found = [said for name, said in acts.items() if getattr(spec.scenario.conditions, name) is not None]
         ends, condition = sampled, f"under {', '.join(found)}" if found else ""
     every = loop_margins(controller)
@@ -112,7 +112,7 @@ def _little_phase(controller: ProvedController, margins: Margins | None) -> Iter
             found.append((other.phase, f"{letter} × {factor:g} would have {np.degrees(other.phase):.2g}°: {sizes}"))
     most, better = max(found, default=(0.0, ""))
     if most < _WORTH * margins.phase:
-        better = "K and L × 0.5 or 2 change little: add a sensor or an actuator"
+        better = "halving or doubling K or L helps little: add a sensor or an actuator"
     where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
     yield f"phase margin {np.degrees(margins.phase):.3g}°, delay {margins.delay:.2g} s, {where}; {better}"
 
@@ -134,7 +134,7 @@ def _disturbed(
         most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
         if bound is not None and bound > most > 0:
             yield (
-                f"all that is proved under {kinds}: {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                f"proved under {kinds} is no more than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
                 + f"; {what} {most:.3g} {unit}".rstrip()
                 + f"; {_calmer(kinds)}"
             )
@@ -246,8 +246,8 @@ def plant_questions(plant: PWASystem) -> list[str]:
         mode, name = max(away, key=lambda one: -1 / one[0].time_constant)
         cells = f"{len({name for _, name in away})} of {len(plant.A)} cells"
         said.append(
-            f"the plant alone runs away in {cells}, time constant {-mode.time_constant:.3g} s; right for a pendulum, "
-            f"wrong for a spring; fastest in '{name}'"
+            f"the plant alone runs away in {cells}, time constant {-mode.time_constant:.3g} s; right for pendulum or "
+            f"reactor, wrong for a spring; fastest in '{name}'"
         )
     still = [(mode, name) for mode, name in found if mode.frequency and 0 <= mode.damping < _UNDAMPED]
     if still:

@@ -29,10 +29,13 @@ def decided(found: Any, loop: "Loop", _: Any) -> tuple[list[str], list[str]]:
 
 
 class Loop:
-    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any."""
+    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any.
 
-    def __init__(self, plant: AuditedPlant, K: Matrix, L: Matrix, X: Ball | None) -> None:
-        self.plant, self.K, self.L, self.X = plant, K, L, X
+    What the certificate says of the generator is there for who needs it.
+    """
+
+    def __init__(self, plant: AuditedPlant, K: Matrix, L: Matrix, X: Ball | None, generator: Any = None) -> None:
+        self.plant, self.K, self.L, self.X, self.generator = plant, K, L, X, generator
 
     def faults(self, entry: Any) -> list[str]:
         """Return what is wrong with the bounds of what one disturbance, noise or start can do to each signal."""

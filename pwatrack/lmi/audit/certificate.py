@@ -85,7 +85,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         faults += [f"{NAMES[of]}: {fault}" for fault in wrong]
         said.append(f"{NAMES[of]}: {claim(proof, plant)}{centres if which in CELLS else ''}")
         decided |= {of} - ({of} if which == "cost" else set())
-    loop = Loop(plant, K or [], L or [], X)
+    loop = Loop(plant, K or [], L or [], X, generator)
     for one in () if refusal else CLAIMS:
         wrong, sentences = one.decided(content[one.KEY], loop, content)
         faults += wrong

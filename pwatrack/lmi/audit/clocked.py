@@ -4,7 +4,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from .balls import Ball, enlarge, falls, sides, sizes, stacked
+from .balls import Ball, enlarge, falls, sizes
 from .bounds import Loop
 from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
 from .plant import AuditedPlant
@@ -34,7 +34,8 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
         raise AuditFault("the forms of the sampled loop are not those of its knots")
     runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
     faults = [] if all(definite(P) for P, _ in forms) else ["a form is not positive definite"]
-    faults += [] if shrinks(errors.tick, runs[0][0], runs[-1][-1]) else ["a tick makes its form grow"]
+    jumps = (shrinks(tick, runs[0][0], runs[-1][-1]) for tick in errors.ticks)
+    faults += [] if all(jumps) else ["a tick makes its form grow"]
     ends = (shrinks(errors.substep, after[0], before[-1]) for before, after in pairwise(runs))
     faults += [] if all(ends) else ["the end of a substep makes its form grow"]
     turned = [Ball(added(F.T.centre, identity(errors.order, rate)), F.T.radius) for F in errors.flows]
@@ -54,15 +55,16 @@ def predicted(whole: Any) -> AuditedPlant | None:
 
 
 def shrinks(jump: Ball, after: Form, before: Form) -> bool:
-    """Decide J^T P_after J < P_before for all J in a ball."""
-    (P, powers), (Q, others) = after, before
+    """Decide J^T P_after J < P_before for all J in a ball.
+
+    With J + E, |E| <= R, it is more by E^T P J + J^T P E + E^T P E, in size at most R^T (|P J| + |P| R / 2) and that
+    transposed.
+    """
+    (P, _), (Q, powers) = after, before
     J, R = jump
     lower = product(P, J)
-    if not R:
-        return definite(added(Q, product(transposed(J), lower), -1))
-    whole = stacked(sides(Ball(Q), Ball(transposed(lower))), sides(Ball(lower), Ball(P))).centre
-    left, zero = [[-v for v in row] for row in whole], identity(len(Q), 0)
-    enlarge(left, stacked(sides(Ball(zero), Ball(zero)), sides(Ball(product(sizes(P), R)), Ball(zero))).centre, [
-        *others, *powers
-    ])  # fmt: skip
+    left = added(product(transposed(J), lower), Q, -1)
+    if R:
+        half = [[v / 2 for v in row] for row in product(sizes(P), R)]
+        enlarge(left, product(transposed(R), added(sizes(lower), half)), powers)
     return definite(left, sign=-1)

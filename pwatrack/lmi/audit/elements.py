@@ -91,6 +91,15 @@ class Elements:
         spend(prod(len(element.ends) for element in self.each) * len(self.A) ** 2 / 4)
         return list(product(*(element.ends for element in self.each)))
 
+    @property
+    def slopes(self) -> list[Segments]:
+        """Cells with all combinations of slopes."""
+        each = [[e.function.slopes.index(v) for v in dict.fromkeys(e.function.slopes)] for e in self.each]
+        if prod(map(len, each)) > _MOST_CORNERS:
+            raise AuditFault(f"the elements have more than {_MOST_CORNERS} slopes")
+        spend(prod(map(len, each)) * len(self.A) ** 2 / 4)
+        return list(product(*each))
+
     def segments(self, i: int) -> Segments:
         """Return the segments of a cell, which are counted with the last element first."""
         left, found = place(i, self.count), list[int]()

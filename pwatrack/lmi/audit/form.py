@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from fractions import Fraction
 from functools import partial, reduce
-from itertools import accumulate
 from typing import Any
 
 from .balls import Ball, frozen, stacked, unlike
@@ -17,16 +16,9 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
 
     With H = resting, eta + H s is played back: then no load may act on this eta in any cell.
     """
-    n, degrees = len(plant.B[0]), generator["relative_degrees"]
-    r, p, m = sum(degrees), len(degrees), len(plant.B[0][0])
-    internal, Z = [place(j, n) for j in generator["internal"]], matrix(generator["directions"])
-    fits = len(internal) == len(generator["eta"]) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
-    if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
-        raise AuditFault("the form (11) does not fit the plant")
-    T = coordinates(plant, degrees, internal, Z)
-    C = [joined([T_i.row(k - 1) for k in accumulate(degrees)]) for T_i in T]
-    one_to_one([C_i @ plant.B @ Ball(Z) for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
-    found, backs = list[Ball](), once(Ball.inverse, T)
+    degrees = generator["relative_degrees"]
+    (T, _), r, found = coordinates(plant, generator), sum(degrees), list[Ball]()
+    backs = once(Ball.inverse, T)
     if plant.elements is not None and len(unlike(T)) > 1:
         raise AuditFault("the last derivative of an output differs between cells, which are not listed")
     for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
@@ -41,16 +33,23 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     return found, shift(plant, degrees, T, backs, [] if resting is None else matrix(resting))
 
 
-def coordinates(plant: AuditedPlant, degrees: list[int], internal: list[int], Z: Matrix) -> list[Ball]:
-    """Return in each cell T of (xi, eta) = T x + o: derivatives of outputs, then e_j - (B Z (C Z)^-1)_j C."""
+def coordinates(plant: AuditedPlant, generator: Any) -> tuple[list[Ball], list[Ball]]:
+    """Return the change of state T of each cell, and its rows of the last derivatives, after checking that they fit."""
+    n, degrees = len(plant.B[0]), generator["relative_degrees"]
+    r, p, m = sum(degrees), len(degrees), len(plant.B[0][0])
+    internal, Z = [place(j, n) for j in generator["internal"]], matrix(generator["directions"])
+    fits = len(internal) == len(generator["eta"]) == n - r and p == len(plant.tracked[0]) == len(generator["scales"])
+    if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
+        raise AuditFault("the form (11) does not fit the plant")
     outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
-    C = joined([rows[0].row(-1) for rows in outputs])
-    BZ, N, n = plant.B @ Ball(Z), list[Ball](), len(plant.B[0])
-    share = BZ @ (C @ BZ).inverse()
+    C = [joined([rows.row(-1) for rows in cell]) for cell in zip(*outputs, strict=True)]
+    BZ = plant.B @ Ball(Z)
+    one_to_one([C_i @ BZ for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
+    share, N = BZ @ (C[0] @ BZ).inverse(), list[Ball]()
     for j in internal:
         own = Ball([[Fraction(int(j == k)) for k in range(n)]])
-        N.append(own - share.row(j) @ C)
-    return [joined([*cell, *N]) for cell in zip(*outputs, strict=True)]
+        N.append(own - share.row(j) @ C[0])
+    return [joined([*cell, *N]) for cell in zip(*outputs, strict=True)], C
 
 
 def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:

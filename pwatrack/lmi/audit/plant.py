@@ -96,15 +96,20 @@ class AuditedPlant:
 
     def at_inputs(self) -> list[int]:
         """Return the input that each load is added to: all have to be constants there, exactly."""
+        found = self.matched()
+        if not found:
+            raise AuditFault("the loads are no constants at inputs, exactly")
+        return found
+
+    def matched(self) -> list[int]:
+        """Return the input that each load is added to, if all are constants at inputs, exactly; else none."""
         if self.loads is None:
-            raise AuditFault("no load is estimated")
+            return []
         (E, open_E), (S, open_S), (B, open_B) = *self.loads, self.B
         columns = [list(column) for column in zip(*B, strict=True)]
-        if open_E or open_S or open_B or any(map(any, S)) or rank(B) < len(columns):
-            raise AuditFault("the loads are no constants at inputs, exactly")
-        if any(list(column) not in columns for column in zip(*E, strict=True)):
-            raise AuditFault("a load enters where no input does")
-        return [columns.index(list(column)) for column in zip(*E, strict=True)]
+        exact = not (open_E or open_S or open_B or any(map(any, S)) or rank(B) < len(columns))
+        entered = [list(column) for column in zip(*E, strict=True)]
+        return [columns.index(column) for column in entered] if exact and all(e in columns for e in entered) else []
 
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:
         """Return the matrices M_i that a proof speaks of, and B where the gain is free (else an empty one)."""

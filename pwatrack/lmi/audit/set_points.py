@@ -68,7 +68,7 @@ class ToldSetPoints:
     def rows(self, plant: AuditedPlant, generator: Any) -> list[tuple[list[Row], list[Row], list[Row]]]:
         """Return u_ff, eta', and what is nowhere negative in each cell, on (xi, eta, y^(r), 1)."""
         Z, last = Ball(matrix(generator["directions"])), [k - 1 for k in accumulate(self.degrees)]
-        T = coordinates(plant, self.degrees, generator["internal"], Z.centre)
+        T, _ = coordinates(plant, generator)
         found = list[tuple[list[Row], list[Row], list[Row]]]()
         for i, (T_i, back) in enumerate(zip(T, once(Ball.inverse, T), strict=True)):
             A, b = plant.A[i], plant.b[i]

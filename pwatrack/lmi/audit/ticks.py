@@ -7,6 +7,7 @@ from typing import Any
 
 from .balls import Ball, sides, stacked, unlike
 from .bounds import Loop
+from .estimates import Estimates
 from .matrices import AuditFault, identity
 from .plant import AuditedPlant
 from .reading import matrix, number
@@ -25,17 +26,20 @@ class AuditedErrors:
     cells; each observer's error obeys A_j, with G rho in the rows of x, where G R is how A of the cell in which a
     substep begins differs from that of any other, and with (1 - pace) d; nu' = 0; rho' = R of how e and the observer's
     error change. A tick corrects the last prediction by M C, the others get older, nu = K (e + Delta) anew for the
-    prediction that is delay ticks old, and rho = 0. Loads are constants, E = B U; with delay, nu has - U sigma of that
-    prediction, and d has no sigma.
+    prediction that is delay ticks old, and rho = 0. Loads that are constants at inputs, E = B U, one for each tracked
+    output, act on u alone: with delay, nu has - U sigma of that prediction, and d has no sigma. Of others x_d is that
+    of the true loads, and d has (c_j - A_i [X, N]) epsilon in place of it, epsilon and delta held: see `estimates`. A
+    tick makes epsilon of the sigma that nu is made of and of delta; nu has - K [X, N] epsilon and what is held more,
+    and delta is what eta_hat is off one sample later.
     """
 
     def __init__(self, content: Any, loop: Loop, watched: AuditedPlant | None = None) -> None:
         self.plant, self.watched = loop.plant, watched is not None
         plant = loop.plant
         square = loop.X is None or len(plant.tracked[0]) == len(plant.B[0][0])
-        self.at = plant.at_inputs() if plant.loads is not None else []
-        if self.at and not square:
-            raise AuditFault("loads do not only act at inputs, one for each tracked output")
+        self.at, self.estimates = plant.matched() if square else [], None
+        if plant.loads is not None and not self.at:
+            self.estimates = Estimates(plant, loop.X, loop.generator)
         self.K, self.M, self.R = (Ball(matrix(content[name])) for name in ("K", "M", "rows"))
         self.n, self.m, self.N = len(plant.B[0]), len(plant.B[0][0]), len(plant.seen_A[0][0])
         sizes_ = {"K": (self.K, self.m, self.n), "M": (self.M, self.N, len(plant.C[0]))}
@@ -50,7 +54,12 @@ class AuditedErrors:
         self.paces = [1 - share, 1 + share] if share else [Fraction(1)]
         self.predicted = max(1, content["delay"])
         self.widths = [self.n, self.m, *[self.N] * self.predicted, *[len(self.R[0])] * self.predicted]
-        self.order, self.kept = sum(self.widths), sum(self.widths[: 2 + self.predicted])
+        self.kept, self.held = sum(self.widths[: 2 + self.predicted]), sum(self.widths)
+        if self.estimates is not None:
+            self.widths += [self.estimates.k + self.estimates.p, self.estimates.p]
+            if share and any(map(any, self.estimates.S[0])):
+                raise AuditFault("ticks come early and late, and a load oscillates")
+        self.order, self.period = sum(self.widths), number(content["sample_time"])
         self.cells = outermost(plant.A)
         self.own = self.cells if watched is None else outermost(watched.A)
         self.changes = outermost([one - other for one, other in permutations(self.own, 2)])
@@ -88,15 +97,12 @@ class AuditedErrors:
     def flows(self) -> list[Ball]:
         """What they obey between ticks, for all cells of x, of each x_hat and of its prediction."""
         d, held, found = self.predicted, zero(self.m, self.order), list[Ball]()
-        below = self.N - self.n
-        estimated = {}
-        if self.plant.loads is not None and not self.late:
-            estimated = {2: sides(zero(self.n, self.n), -self.plant.loads[0])}
+        below, driven = self.N - self.n, self.driven()
+        rest = [zero(self.order - self.held, self.order)] if self.order > self.held else []
         of_each = list(product(self.seen, self.read or [zero(self.n, 0)]))
-        if len(self.paces) * len(self.cells) * len(of_each) ** d > MOST_FLOWS:
+        if len(self.paces) * len(driven) * len(of_each) ** d > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
-        for pace, A_i in product(self.paces, self.cells):
-            e = self.row(self.n, {0: A_i, 1: self.plant.B} | estimated)
+        for pace, e in product(self.paces, driven):
             late = (scaled(e, 1 - pace), zero(below, self.order))
             for chosen in product(of_each, repeat=d):
                 Delta, rho = list[Ball](), list[Ball]()
@@ -105,8 +111,19 @@ class AuditedErrors:
                     own = self.row(self.N, {2 + i: A_j, 2 + d + i: pushed})
                     Delta.append(own + (stacked(*late) if below else late[0]))
                     rho += [self.R @ (e + top(own, self.n))] if self.R[0] else []
-                found.append(reduce(stacked, [scaled(e, pace), held, *Delta, *rho]))
+                found.append(reduce(stacked, [scaled(e, pace), held, *Delta, *rho, *rest]))
         return [F for _, F in unlike(found)]
+
+    def driven(self) -> list[Ball]:
+        """Return the rows of d."""
+        B, at = self.plant.B, 2 + 2 * self.predicted
+        if self.estimates is not None:
+            pairs, D = product(self.cells, self.estimates.moves), self.estimates.x_d
+            return [self.row(self.n, {0: A, 1: B, at: c - A @ D}) for A, c in pairs]
+        sigma = {}
+        if self.plant.loads is not None and not self.late:
+            sigma = {2: sides(zero(self.n, self.n), -self.plant.loads[0])}
+        return [self.row(self.n, {0: A, 1: B} | sigma) for A in self.cells]
 
     @property
     def seen(self) -> list[Ball]:
@@ -118,19 +135,36 @@ class AuditedErrors:
         return [stacked(sides(A, E), sides(zero(self.N - self.n, self.n), S)) for A in self.own]
 
     @cached_property
-    def tick(self) -> Ball:
-        """What a tick makes of them."""
+    def ticks(self) -> list[Ball]:
+        """What a tick makes of them, with all that may be held where x_d or u_ff depends on estimates."""
         d, eye = self.predicted, Ball(identity(self.N, 1))
         corrected = eye + self.M @ self.plant.seen_C
-        U = Ball([[Fraction(-int(self.late and k == at)) for at in self.at] for k in range(self.m)])
-        acts = joined([self.K, U])
-        rows = [
+        seen = self.row(self.N, {1 + d: eye} if self.late else {2: corrected})
+        delta = None
+        if self.estimates is not None and self.estimates.p:
+            delta = self.row(self.estimates.p, {len(self.widths) - 1: Ball(identity(self.estimates.p, 1))})
+        e, older = (
             self.row(self.n, {0: Ball(identity(self.n, 1))}),
-            self.row(self.m, {0: self.K, 1 + d: acts if self.late else acts @ corrected}),
-            self.row(self.N, {2: corrected}),
-            *(self.row(self.N, {1 + i: eye}) for i in range(1, d)),
+            [self.row(self.N, {1 + i: eye}) for i in range(1, d)],
+        )
+        rho = [zero(self.held - self.kept, self.order)] if self.R[0] else []
+        return [
+            reduce(stacked, [e, nu, self.row(self.N, {2: corrected}), *older, *rho, *rest])
+            for nu, rest in self.put_out(e, seen, delta)
         ]
-        return reduce(stacked, [*rows, *([zero(self.order - self.kept, self.order)] if self.R[0] else [])])
+
+    def put_out(self, e: Ball, seen: Ball, delta: Ball | None) -> list[tuple[Ball, list[Ball]]]:
+        """Return nu, and epsilon and delta after it, made of e, of an observer's error and of delta before it."""
+        nu = self.K @ (e + top(seen, self.n))
+        sigma = Ball(*(X[self.n :] for X in seen))
+        if self.estimates is None:
+            U = Ball([[Fraction(int(k == at)) for at in self.at] for k in range(self.m)])
+            return [(nu - U @ sigma if self.late and self.at else nu, [])]
+        epsilon, found = sigma if delta is None else stacked(sigma, delta), list[tuple[Ball, list[Ball]]]()
+        nu = nu - self.K @ self.estimates.x_d @ epsilon
+        for more, after in self.estimates.vertices(self.period):
+            found.append((nu + more @ epsilon, [epsilon, *([] if after is None else [after @ epsilon])]))
+        return found
 
     def row(self, height: int, blocks: dict[int, Ball]) -> Ball:
         """Return rows on them that are 0 but for some blocks."""
@@ -139,7 +173,8 @@ class AuditedErrors:
     @cached_property
     def substep(self) -> Ball:
         """What the end of a substep makes of them: rho = 0."""
-        return Ball([[Fraction(int(j == k < self.kept)) for k in range(self.order)] for j in range(self.order)])
+        kept = [k < self.kept or k >= self.held for k in range(self.order)]
+        return Ball([[Fraction(int(j == k and kept[k])) for k in range(self.order)] for j in range(self.order)])
 
 
 def joined(balls: list[Ball]) -> Ball:

@@ -8,7 +8,7 @@ from typing import Any
 from .balls import Ball, enlarge, falls, stacked, unlike
 from .bounds import CHANNEL, SIGNALS, Loop
 from .clocked import Form, predicted, shrinks
-from .matrices import AuditFault, added, definite, identity
+from .matrices import AuditFault, Matrix, added, definite, identity
 from .reading import distinct, number, packed, place
 from .shape import NUMBER, PACKED, WHOLE, of
 from .ticks import AuditedErrors
@@ -56,13 +56,14 @@ class Tubes:
         if entry["summed"] not in (0, 1) or (summed and ticks):
             raise AuditFault("only what acts between ticks is summed")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
-        held, between, kick = self.drive(entry["channel"])
+        held, between, kicks = self.drive(entry["channel"])
         runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
         (last, powers), (first, others) = runs[-1][-1], runs[0][0]
         kept: Form = ([[v / (1 - b) for v in row] for row in last], powers)
-        inside = added(first, (kick @ kick.T).centre, -1 / b) if ticks else first
-        if not shrinks(errors.tick.T, kept, (inside, others)):
-            faults.append("a tick leaves its tube")
+        for tick, kick in zip(errors.ticks, kicks, strict=True):
+            inside = less_square(first, kick, b, others) if ticks else first
+            if not shrinks(tick.T, kept, (inside, others)):
+                faults.append("a tick leaves its tube")
         if not all(shrinks(errors.substep.T, before[-1], after[0]) for before, after in pairwise(runs)):
             faults.append("the end of a substep leaves its tube")
         flows = [(F, F @ held + between) for F in errors.flows]
@@ -90,8 +91,8 @@ class Tubes:
                     return False
         return True
 
-    def drive(self, channel: Any) -> tuple[Ball, Ball, Ball]:
-        """Return what 1 of a channel is beside z, adds to z', and to z at a tick."""
+    def drive(self, channel: Any) -> tuple[Ball, Ball, list[Ball]]:
+        """Return what 1 of a channel is beside z, adds to z', and to z at a tick, for each that there may be."""
         (kind, k), (n, m, _, q) = channel, self.sizes
         counts = {
             "disturbance": n,
@@ -105,16 +106,27 @@ class Tubes:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
         d, (e, nu, Delta, rho) = self.errors.predicted, ([Fraction(0)] * size for size in self.sizes)
-        nothing = column([e, nu, *d * [Delta], *d * [rho]])
+        rest = [Fraction(0)] * (self.errors.order - self.errors.held)
+        nothing = column([e, nu, *d * [Delta], *d * [rho], rest])
+        none = [nothing] * len(self.errors.ticks)
         if kind == "noise":
-            M = [v for (v,) in self.errors.M.column(k).centre]
-            kick = nu if self.errors.late else [v for (v,) in (self.errors.K @ column([M[:n]])).centre]
-            return nothing, nothing, column([e, kick, M, *(d - 1) * [Delta], *d * [rho]])
+            M, blank = self.errors.M.column(k), column([Delta])
+            delta = column([[Fraction(0)] * p]) if (p := self.errors.widths[-1] if rest else 0) else None
+            put_out = self.errors.put_out(column([e]), blank if self.errors.late else M, delta)
+            others = column([*(d - 1) * [Delta], *d * [rho]])
+            below = [others] if others.centre else []
+            kicks = [reduce(stacked, [column([e]), nu, M, *below, *more]) for nu, more in put_out]
+            return nothing, nothing, kicks
         if kind == "nominal":
             at, mean = self.errors.at_rows[k], self.errors.mean.column(self.errors.at_rows[k])
             e[at] = Fraction(1)
-            nominal = [mean, column([nu, *d * [Delta]]), *d * [self.errors.R @ mean]]
-            return column([e, nu, *d * [Delta], *d * [rho]]), -reduce(stacked, nominal), nothing
+            nominal = [
+                mean,
+                column([nu, *d * [Delta]]),
+                *d * [self.errors.R @ mean],
+                *([column([rest])] if rest else []),
+            ]
+            return column([e, nu, *d * [Delta], *d * [rho], rest]), -reduce(stacked, nominal), none
         if kind == "deviation":
             e = self.merged[k]
             if self.errors.watched and len(self.errors.paces) > 1:  # it would be in Delta, by 1 - pace
@@ -127,8 +139,8 @@ class Tubes:
             e[k], Delta[k] = Fraction(1), Fraction(-1)
         else:
             (nu if kind == "input" else rho)[k] = Fraction(1)
-        one = column([e, nu, *d * [Delta], *d * [rho]])
-        return (one, nothing, nothing) if kind in ("input", "moved") else (nothing, one, nothing)
+        one = column([e, nu, *d * [Delta], *d * [rho], rest])
+        return (one, nothing, none) if kind in ("input", "moved") else (nothing, one, none)
 
     def row(self, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off z."""
@@ -151,6 +163,14 @@ def holds(form: Form, g: Ball) -> bool:
     left = added(square, Q, -1)
     enlarge(left, [[v / 2 for v in row] for row in open_], powers)
     return definite(left, sign=-1)
+
+
+def less_square(first: Matrix, kick: Ball, b: Fraction, powers: list[Fraction]) -> Matrix:
+    """Return Q - h h^T / b, or what is below it for all h in a ball."""
+    square, open_ = kick @ kick.T
+    left = added(square, first, -b)
+    enlarge(left, [[v / 2 for v in row] for row in open_], powers)
+    return [[-v / b for v in row] for row in left]
 
 
 def column(parts: list[list[Fraction]]) -> Ball:

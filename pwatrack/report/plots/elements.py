@@ -62,7 +62,7 @@ def nonlinearities(name: str, plant: PWASystem, units: Mapping[str, str], x: Arr
 def _draw(
     axes: Axes, element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str, str], x: Array | None
 ) -> None:
-    of, touches = _of(element), isinstance(element, Contact)
+    of, touches = element.of, isinstance(element, Contact)
     marks = [float(mark) for mark in _marks(element)]
     seen = [*marks, 0.0] if len(marks) == 1 else list(marks)
     if x is not None:
@@ -115,16 +115,9 @@ def _texts(element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str
     else:
         slopes = zip(element.function.segments, element.function.slopes, strict=True)
         said = ", ".join(f"{segment}: {number_text(float(slope), '.6g')}" for segment, slope in slopes)
-        unit = _unit(_of(element), plant, units)
+        unit = _unit(element.of, plant, units)
         lines.append(f"slopes of φ{f' per {unit}' if unit else ''}: {said}")
     return "\n".join(part for line in lines for part in textwrap.wrap(line, letters, max_lines=3, placeholder=" …"))
-
-
-def _of(element: Nonlinearity | Contact) -> LinearForm:
-    """Return s."""
-    if isinstance(element, Contact):
-        return element.of
-    return LinearForm(tuple(map(Real.of, element.row)), Real.of(element.constant))
 
 
 def _marks(element: Nonlinearity | Contact) -> Sequence[Real]:

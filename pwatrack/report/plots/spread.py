@@ -13,9 +13,11 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.pareto import Front
+from pwatrack.errors import ExitCode
 from pwatrack.report.figures import error_unit
 from pwatrack.report.plots.canvas import (
     ACTUAL,
+    BOUND,
     COLUMNS,
     REQUIRED,
     ROUNDING,
@@ -28,7 +30,7 @@ from pwatrack.report.plots.canvas import (
     plain,
 )
 from pwatrack.report.required import Checked
-from pwatrack.workflow.variation import EnsembleResult
+from pwatrack.workflow.variation import EnsembleResult, sections
 
 _STYLES = ("-", "--", "-.", ":")  # told apart without colour too
 _SHOWN = {"rate": "proved decay rate (1/s)", "norm_K": "‖K‖ in sizes", "final_error": "final error"}
@@ -47,6 +49,11 @@ _COLOURS = {  # of verdicts
     "lost": "#000000",
     "crashed": "#b42318",
 }
+_POINTS = 400  # of an ellipse
+_ROOM = 1.05  # of what is shown of a plane
+_SMALL: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": "0.45", "linewidths": 0.8}
+_OFF: dict[str, Any] = {"s": 16, "marker": "x", "color": "#a3195b", "linewidths": 0.9}
+_PROVED = {"goes to 0, limits reached or not": ACTUAL, "no limit is reached": BOUND}
 
 
 def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
@@ -228,3 +235,28 @@ def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> Sc
     if len(x) * len(y) == len(values):
         return axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
     return axes.scatter(*at, c=values, s=20, **style)
+
+
+def starts_in_plane(many: EnsembleResult) -> Figure:
+    """Draw where members in a plane start and how they end, and the ellipses that are proved there."""
+    result, plane = many.nominal, list(many.nominal.spec.scenario.plane)
+    names = [result.controller.plant.states[k] for k in plane]
+    title = f"Starts in a plane, x̂ = x, all other errors 0: {len(many.outcomes):,} members, and what is proved"
+    figure, (axes,) = canvas(result, title, [[0]], height=5.6)
+    starts = np.column_stack([many.variation.values[name] for name in names]) - result.response.x_d[0, plane]
+    small = np.array([one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes])
+    for which, said, style in ((small, "gets small", _SMALL), (~small, "does not, in this run", _OFF)):
+        if which.any():
+            axes.scatter(starts[which, 0], starts[which, 1], label=said, **style)
+    angles = np.linspace(0, 2 * np.pi, _POINTS)
+    circle, seen = np.column_stack([np.cos(angles), np.sin(angles)]), [starts]
+    for said, C in sections(result.controller, plane):
+        axes.plot(*(C @ circle.T), label=f"proved: {said}", **_PROVED[said])
+        seen.append(circle @ C.T)
+    units = result.spec.problem.units
+    texts = [f"{name} − {name}_d" + (f" ({units[name]})" if units.get(name) else "") for name in names]
+    most = _ROOM * np.abs(np.vstack(seen)).max(axis=0)
+    label(axes, texts[0], texts[1], (-most[0], most[0]))
+    axes.set_ylim(-most[1], most[1])
+    legend(axes, columns=2)
+    return figure

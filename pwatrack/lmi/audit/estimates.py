@@ -1,0 +1,153 @@
+"""What a program that is sampled makes of estimates of loads in x_d, u_ff and eta_hat, rebuilt from a plant."""
+
+from fractions import Fraction
+from functools import reduce
+from itertools import accumulate
+from typing import Any
+
+from .balls import Ball, sides, sizes, stacked, unlike
+from .form import coordinates
+from .matrices import AuditFault, identity, inverted, product, rank, transposed
+from .plant import AuditedPlant
+from .reading import matrix
+from .vertices import outermost
+
+_TURNS = 64  # h times the size of F: a sample in which it turns further is not looked at
+_TAIL = Fraction(1, 2**60)  # share of h below which the rest of a sum may be
+_DIGITS = 60  # binary ones that are kept of each entry of what a tick makes of epsilon
+_MORE = 100  # of each entry of an integral and its terms, which may cancel
+
+
+class Estimates:
+    """v = (s_hat, eta_hat) at a tick, and epsilon, by how much it is more than that of the true loads.
+
+    In cell j v' has the rows F_j on v and u_ff has u_j; x_d is [X, N] v. In a sample the program goes on by the law of
+    the cell a in which it begins, so that beside u_j epsilon it holds u_a Q(F_a) F_j epsilon more, and has
+    epsilon + P(F_a) F_j epsilon at the end, P the integral of e^(F t), Q that of (h - t) / h of it. While it is held,
+    x - x_d has c_j epsilon beside A_i (x - x_d - [X, N] epsilon), c_j = A_j [X, N] + B u_j. eta_hat is left out where
+    no load acts on it.
+    """
+
+    def __init__(self, plant: AuditedPlant, X: Ball | None, generator: Any) -> None:
+        if plant.loads is None:
+            raise AuditFault("no load is estimated")
+        self.plant, (self.E, self.S) = plant, plant.loads
+        self.n, self.k = len(plant.A[0][0]), len(self.S[0])
+        if generator is None or X is None:
+            self.held_alone()
+        else:
+            self.shifted(X, generator)
+
+    def held_alone(self) -> None:
+        """Take u_ff - U s_hat with B U = E, where x_d is given."""
+        (B, open_B), (E, open_E) = self.plant.B, self.E
+        if open_B or open_E or rank(B) < len(B[0]):
+            raise AuditFault("where loads enter is not known exactly, and x_d is given")
+        back = transposed(B)
+        U = product(inverted(product(back, B)), product(back, E))
+        if product(B, U) != E:
+            raise AuditFault("a load enters where no input does, and x_d is given")
+        u = -Ball(U)
+        self.p, self.x_d = 0, Ball([[Fraction(0)] * self.k for _ in range(self.n)])
+        self.moves, self.cells, self.hull = [self.plant.B @ u], [(self.S, u)], [self.S]
+
+    def shifted(self, X: Ball, generator: Any) -> None:
+        """Take x_d + X s_hat, and what goes with it."""
+        plant = self.plant
+        T, C = coordinates(plant, generator)
+        if len(unlike(T)) > 1:
+            raise AuditFault("loads move x_d, and a last derivative differs between cells")
+        degrees, Z = generator["relative_degrees"], Ball(matrix(generator["directions"]))
+        r, last = sum(degrees), [at - 1 for at in accumulate(degrees)]
+        self.right = Z @ (C[0] @ plant.B @ Z).inverse()
+        self.C = reduce(stacked, [T[0].row(j) for j in last])
+        self.push = self.E - X @ self.S
+        etas = [T[0].row(j) for j in range(r, self.n)]
+        driven = (row @ (A @ X + self.push) for row in etas for _, A in unlike(plant.A))
+        acted_on = any(open_ or any(map(any, centre)) for centre, open_ in driven)
+        self.p = len(etas) if acted_on else 0
+        self.own = reduce(stacked, etas) if acted_on else None
+        self.x_d = reduce(sides, [X, *([T[0].inverse().column(j) for j in range(r, self.n)] if acted_on else [])])
+        everywhere = plant.A if plant.elements is None else plant.elements.fields(plant.elements.slopes)[0]
+        outer = outermost(plant.A)
+        self.cells = [self.law(A) for _, A in unlike(everywhere)]
+        self.moves = [c for _, c in unlike([A @ self.x_d + plant.B @ self.law(A)[1] for A in outer])]
+        self.hull = [F for _, F in unlike([self.law(A)[0] for A in outer])]
+
+    def law(self, A: Ball) -> tuple[Ball, Ball]:
+        """Return F_j and u_j of a cell."""
+        rate, F = A @ self.x_d, self.S
+        rate = rate + (sides(self.push, zero(self.n, self.p)) if self.p else self.push)
+        if self.own is not None:
+            F = stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate)
+        return F, -(self.right @ self.C @ rate)
+
+    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball | None]]:
+        """Return what is held beside u_j epsilon, and eta_hat - eta one sample later: rows on epsilon."""
+        found, eye = list[Ball](), Ball(identity(self.k + self.p, 1))
+        for F_a, u_a in self.cells:
+            P, Q = integrals(F_a, h)
+            held = u_a @ Q
+            found += [stacked(held @ F_j, eye + P @ F_j) for F_j in self.hull]
+        m = len(self.plant.B[0][0])
+        each = [Ball(X[:m] + X[m + self.k :], R and R[:m] + R[m + self.k :]) for X, R in found]
+        kept = [short(ball, _DIGITS) for _, ball in unlike(each)]
+        return [(part(ball, 0, m), part(ball, m, m + self.p) if self.p else None) for ball in kept]
+
+
+def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
+    """Return the sums of F^k h^(k+1) / (k+1)! and of F^k h^(k+1) / (k+2)!.
+
+    From where each term is at most half as large as the one before it, those that are left out are at most twice the
+    first of them.
+    """
+    f = h * size_of(F)
+    if f > _TURNS:
+        raise AuditFault("the sample is too long for what x_d is made of")
+    n, k = len(F[0]), 0
+    term, P, Q = Ball(identity(n, h)), zero(n, n), zero(n, n)
+    while 2 * f > k + 2 or 2 * size_of(term) > h * _TAIL:
+        P, Q = P + term, Q + times(term, Fraction(1, k + 2))
+        term, k = short(times(term @ F, h / (k + 2)), _MORE), k + 1
+    left = 2 * size_of(term)
+    open_ = Ball(zero(n, n)[0], [[left] * n for _ in range(n)])
+    return short(P + open_, _MORE), short(Q + open_, _MORE)
+
+
+def size_of(ball: Ball) -> Fraction:
+    """Return the largest sum of the sizes in a row."""
+    X, R = ball
+    rows = zip(sizes(X), R or zero(len(X), len(X))[0], strict=True)
+    return max(sum(one, Fraction(0)) + sum(other, Fraction(0)) for one, other in rows)
+
+
+def short(ball: Ball, digits: int) -> Ball:
+    """Return a ball around one, with entries of so many binary digits."""
+    X, R = ball
+    centre = [[cut(v, digits) for v in row] for row in X]
+    off = [[abs(v - w) for v, w in zip(*rows, strict=True)] for rows in zip(X, centre, strict=True)]
+    if R:
+        off = [[v + w for v, w in zip(*rows, strict=True)] for rows in zip(off, R, strict=True)]
+    return Ball(centre, [[2 * cut(v, digits) for v in row] for row in off])
+
+
+def cut(v: Fraction, digits: int) -> Fraction:
+    """Return a number of so many digits that is near."""
+    places = digits - v.numerator.bit_length() + v.denominator.bit_length()
+    unit = Fraction(2) ** places
+    return round(v * unit) / unit
+
+
+def times(ball: Ball, share: Fraction) -> Ball:
+    """Return a multiple, not negative."""
+    return Ball(*([[share * v for v in row] for row in X] for X in ball))
+
+
+def part(ball: Ball, first: int, end: int) -> Ball:
+    """Return some rows."""
+    return Ball(*(X[first:end] for X in ball))
+
+
+def zero(rows: int, columns: int) -> Ball:
+    """Return 0."""
+    return Ball([[Fraction(0)] * columns for _ in range(rows)])
