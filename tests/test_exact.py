@@ -599,7 +599,7 @@ def test_a_certificate_that_only_refuses_is_no_certificate(two: Path, tmp_path: 
     content = json.loads((two / "certificate.json").read_text())
     claim = {"of": "controller", "rate": "1000000000", "Z": {"0": I2}}
     content |= {"proofs": [claim], "L": None, "K": [["0", "0"]]}
-    of_a_design = "bounds", "limits", "uncertain", "practical", "sampled", "sampled_bounds", "regions"
+    of_a_design = "bounds", "limits", "uncertain", "practical", "sampled", "sampled_bounds", "regions", "set_points"
     content = {key: content[key] for key in content if key not in of_a_design}
     (tmp_path / "run" / "certificate.json").write_text(json.dumps(content))
     with pytest.raises(CheckFailed, match="this is the other"):
