@@ -278,7 +278,7 @@ class Result(Simulated):
         from pwatrack.report.notebook import Pictures
         from pwatrack.report.plots.pictures import pictures
 
-        return Pictures.of({name.removesuffix(".png"): draw for name, draw in pictures(self).items()})
+        return Pictures.of(pictures(self))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

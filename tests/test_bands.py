@@ -92,18 +92,18 @@ def test_pictures_have_a_panel_for_each_error_with_its_band_and_what_is_required
         name: {text.get_text() for axes in figure.axes if (box := axes.get_legend()) for text in box.get_texts()}
         for name, figure in figures.items()
     }
-    assert "proved, whatever the switching" in shown["tracking_error.png"] & shown["observer_error.png"]
-    assert all("required" in shown[name] for name in ("tracking_error.png", "outputs.png", "input.png"))
-    assert "limit" in shown["input.png"]
-    assert shown["states.png"] == {"plant", "desired", "estimate"}
-    panels = [axes.get_title(loc="left") for axes in figures["observer_error.png"].axes]
+    assert "proved, whatever the switching" in shown["tracking_error"] & shown["observer_error"]
+    assert all("required" in shown[name] for name in ("tracking_error", "outputs", "input"))
+    assert "limit" in shown["input"]
+    assert shown["states"] == {"plant", "desired", "estimate"}
+    panels = [axes.get_title(loc="left") for axes in figures["observer_error"].axes]
     assert panels == ["z1_hat − z1", "v1_hat − v1", "z2_hat − z2", "v2_hat − v2", ""]
 
 
 @pytest.mark.slow
 def test_a_spike_at_the_start_does_not_squash_the_rest_of_an_input(specs: Path) -> None:
     result = simulated(specs / "gallery" / "payload_in_wind.yaml")
-    whole, start, _ = pictures(result)["input.png"]().axes
+    whole, start, _ = pictures(result)["input"]().axes
     (inset,) = whole.child_axes
     late, most = result.response.u[result.response.t > 1.5], float(result.response.u.max())
     assert most > 4 * float(late.max())

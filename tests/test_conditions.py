@@ -428,7 +428,7 @@ def test_pictures_and_summary_name_the_conditions(paper_spec: Spec, paper: Resul
 def test_a_portrait_shows_the_facets_and_cells_that_can_be_seen_in_it(paper_spec: Spec, tmp_path: Path) -> None:
     spec = loaded(paper_spec, tmp_path, "  portraits: [[z2 - z1, v2 - v1], [2*z1, v1 + 1]]\n")
     figures = pictures(simulate(spec))
-    across, own = (figures[f"portrait_{k}.png"]().axes[0] for k in (1, 2))
+    across, own = (figures[f"portrait_{k}"]().axes[0] for k in (1, 2))
     assert {text.get_text() for text in across.texts} == {"lower spring", "gap", "upper spring"}
     assert (across.get_xlabel(), across.get_ylabel()) == ("z2 - z1 (m)", "v2 - v1 (m/s)")
     assert not own.texts

@@ -15,7 +15,7 @@ from PIL import Image
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.batch.pool import Lost, Pool
-from pwatrack.report.drawing import begin, prepare
+from pwatrack.report.drawing import Picture, begin, prepare
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.canvas import png
 from pwatrack.report.plots.cells import active_cells
@@ -32,22 +32,22 @@ def result(specs: Path) -> Result:
 
 
 @pytest.fixture(scope="module")
-def alone(result: Result) -> dict[str, bytes]:
+def alone(result: Result) -> dict[str, Picture]:
     """All pictures, drawn here."""
     return begin(result, None)()
 
 
 @pytest.mark.slow
-def test_other_processes_draw_the_same_pictures_to_the_last_bit(result: Result, alone: dict[str, bytes]) -> None:
+def test_other_processes_draw_the_same_pictures_to_the_last_bit(result: Result, alone: dict[str, Picture]) -> None:
     with Pool(2) as pool:
         prepare(pool)
         shared = begin(result, pool)()
     assert shared == alone
-    assert all(content.startswith(b"\x89PNG") for content in alone.values())
+    assert all(each.png.startswith(b"\x89PNG") and each.svg.endswith("</svg>\n") for each in alone.values())
 
 
 @pytest.mark.slow
-def test_what_others_do_not_draw_is_drawn_here(result: Result, alone: dict[str, bytes], tmp_path: Path) -> None:
+def test_what_others_do_not_draw_is_drawn_here(result: Result, alone: dict[str, Picture], tmp_path: Path) -> None:
     class Losing(Executor):
         def submit(self, *_: Any, **__: Any) -> "Future[Any]":
             future = Future[Any]()
@@ -55,20 +55,22 @@ def test_what_others_do_not_draw_is_drawn_here(result: Result, alone: dict[str, 
             return future
 
     folder = write_result(result, tmp_path, executor=Losing())
-    assert {file.name: file.read_bytes() for file in folder.glob("*.png")} == alone
+    assert {file.stem: file.read_bytes() for file in folder.glob("*.png")} == {
+        name: each.png for name, each in alone.items()
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spec", ["kinked_tanks", "payload_in_wind"])
 def test_panels_fill_a_picture_and_leave_room_for_what_is_written_beside_them(
-    result: Result, alone: dict[str, bytes], specs: Path, spec: str
+    result: Result, alone: dict[str, Picture], specs: Path, spec: str
 ) -> None:
     found = result if spec == "kinked_tanks" else simulate(load_spec(specs / "gallery" / f"{spec}.yaml"))
     for name, draw in pictures(found).items():
         figure = draw()
         drawn = png(figure)
         if found is result:
-            assert drawn == alone[name]
+            assert drawn == alone[name].png
             assert drawn == png(figure)  # drawn again, nothing moves
         panels, (width, height) = figure.axes, figure.bbox.size
         boxes = [box for axes in panels if (box := axes.get_tightbbox(for_layout_only=True))]
@@ -129,14 +131,14 @@ def test_no_text_is_cut_or_on_another_and_no_inset_is_on_what_is_drawn(
     problem, insets = result.spec.problem, 0
     figures["as `check` draws them"] = nonlinearities(result.spec.name, problem.plant, problem.units)
     if spec == "payload_in_wind":
-        figures["ensemble.png"] = fan(ensemble(result, 3))
+        figures["ensemble"] = fan(ensemble(result, 3))
     for name, figure in figures.items():
         texts = written(figure, monkeypatch)
         assert len(texts) > 10
-        if name in ("outputs.png", "states.png"):
+        if name in ("outputs", "states"):
             shown = {text.split(" ")[0] for text, _ in texts}
             plant = problem.plant
-            assert set(plant.tracked_names if name == "outputs.png" else plant.states) <= shown
+            assert set(plant.tracked_names if name == "outputs" else plant.states) <= shown
         whole = figure.bbox
         for k, (text, box) in enumerate(texts):
             assert shared(box, whole) > 0, (name, text)
@@ -168,7 +170,7 @@ simulation: {duration: 10, sample_time: 0.01}
 """
     )
     result = simulate(load_spec(tmp_path / "moving.yaml"))
-    _, start, end = pictures(result)["outputs.png"]().axes
+    _, start, end = pictures(result)["outputs"]().axes
     assert start.get_xlim() == pytest.approx((0, 1.1 * 1.6), abs=0.03)
     assert end.get_xlim()[1] == 10
     y_d = points(start.lines[1])[:, 1]
@@ -176,7 +178,7 @@ simulation: {duration: 10, sample_time: 0.01}
 
 
 def test_each_nonlinearity_is_drawn_with_its_slopes_and_where_the_run_was(result: Result) -> None:
-    figure = pictures(result)["nonlinearities.png"]()
+    figure = pictures(result)["nonlinearities"]()
     elements = result.spec.problem.plant.written
     assert elements is not None
     for axes, element in zip(figure.axes, elements.elements, strict=True):

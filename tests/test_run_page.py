@@ -1,6 +1,5 @@
 """The page of a run: all in one file, text as text, claims as the certificate has them, times as the events say."""
 
-import base64
 import csv
 import json
 import math
@@ -9,6 +8,8 @@ from collections import defaultdict
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import pytest
 
@@ -17,6 +18,8 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import CLAIMS
 from pwatrack.report.files import write_result
 from pwatrack.report.page import page as page_of
+from pwatrack.report.plots.canvas import png, svg
+from pwatrack.report.plots.pictures import pictures
 from tests.test_page import BROWSER, Noted, browse
 
 ATTACK = "<script>alert(1)</script>\"'&"
@@ -111,9 +114,18 @@ def test_text_of_a_spec_is_text(page: Page) -> None:
     assert "all & <more>\n" in page.texts["pre"]
 
 
-def test_every_picture_of_the_run_is_in_it_whole(run: Path, page: Page) -> None:
-    shown = {base64.b64decode(src.removeprefix("data:image/png;base64,")) for src in page.attributes("src")}
-    assert shown == {file.read_bytes() for file in run.glob("*.png")}
+def test_every_picture_of_the_run_is_in_it_whole_and_sharp(result: Result, run: Path, page: Page) -> None:
+    shown = [unquote(src.removeprefix("data:image/svg+xml,")) for src in page.attributes("src")]
+    names = page.attributes("alt")[: len(shown)]
+    assert {f"{name.replace(' ', '_')}.png" for name in names} == {file.name for file in run.glob("*.png")}
+    for name, text in zip(names, shown, strict=True):
+        root = ElementTree.fromstring(text.encode())
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert sum(len(path.get("d", "")) for path in root.iter("{http://www.w3.org/2000/svg}path")) > 10_000
+        assert not list(root.iter("{http://www.w3.org/2000/svg}image"))
+        figure = pictures(result)[name.replace(" ", "_")]()
+        png(figure)  # panels are placed
+        assert " ".join(svg(figure).split()) == text
     assert len(shown) >= 6
 
 

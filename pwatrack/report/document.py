@@ -4,9 +4,12 @@ import base64
 import html
 from importlib.resources import files
 from string import Template
+from urllib.parse import quote
 
 from pwatrack.report.terminal import visible
 from pwatrack.version import __version__
+
+_PLAIN = " <>=:/;,.()'!?-_@+*[]{}"  # letters that may stand in the address of a picture as they are
 
 
 def document(title: str, body: str) -> str:
@@ -25,7 +28,10 @@ def escaped(text: str) -> str:
     return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())
 
 
-def image(png: bytes, name: str) -> str:
-    """Return a picture with this name, in the page."""
-    data = base64.b64encode(png).decode()
-    return f'<img src="data:image/png;base64,{data}" alt="{escaped(name)}">'
+def image(picture: bytes | str, name: str) -> str:
+    """Return a picture with this name, in the page: a PNG file, or an SVG file as text."""
+    if isinstance(picture, bytes):
+        data = f"png;base64,{base64.b64encode(picture).decode()}"
+    else:
+        data = f"svg+xml,{quote(' '.join(picture.split()), safe=_PLAIN)}"
+    return f'<img src="data:image/{data}" alt="{escaped(name)}">'

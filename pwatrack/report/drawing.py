@@ -1,16 +1,25 @@
-"""The pictures of a run as files: drawn here, or by other processes while this one goes on."""
+"""The pictures of a run, as files and for its page: drawn here, or by other processes while this one goes on."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pwatrack.interruption import as_ended
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pwatrack.workflow.result import SimulatedLoop
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first
+
+
+class Picture(NamedTuple):
+    """A picture as a PNG file, and as an SVG file, which is sharp at any size."""
+
+    png: bytes
+    svg: str
 
 
 def prepare(executor: Executor) -> None:
@@ -19,8 +28,8 @@ def prepare(executor: Executor) -> None:
         executor.submit(_ready)
 
 
-def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], dict[str, bytes]]:
-    """Begin to draw the pictures of a run, and return what waits for them: the content of their files, by name.
+def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], dict[str, Picture]]:
+    """Begin to draw the pictures of a run, and return what waits for them, by name.
 
     Args:
         result: What is drawn. One that is partly on disk is not sent elsewhere.
@@ -30,8 +39,8 @@ def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], di
         return lambda: drawn(slice(None), result)
     begun = {executor.submit(drawn, share, result): share for share in _SHARES}
 
-    def wait() -> dict[str, bytes]:
-        found = dict[str, bytes]()
+    def wait() -> dict[str, Picture]:
+        found = dict[str, Picture]()
         for future in as_ended(begun):
             found |= future.result() if future.exception() is None else drawn(begun[future], result)
         return found
@@ -39,12 +48,18 @@ def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], di
     return wait
 
 
-def drawn(share: slice, result: "SimulatedLoop") -> dict[str, bytes]:
+def drawn(share: slice, result: "SimulatedLoop") -> dict[str, Picture]:
     """Draw some of the pictures of a run."""
-    from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.pictures import pictures
 
-    return {name: png(draw()) for name, draw in list(pictures(result).items())[share]}
+    return {name: picture(draw()) for name, draw in list(pictures(result).items())[share]}
+
+
+def picture(figure: "Figure") -> Picture:
+    """Draw a figure."""
+    from pwatrack.report.plots.canvas import png, svg
+
+    return Picture(png(figure), svg(figure))
 
 
 def _ready() -> None:

@@ -21,7 +21,7 @@ from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.certificate import bound_content, refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
-from pwatrack.report.drawing import begin
+from pwatrack.report.drawing import Picture, begin, picture
 from pwatrack.report.figures import (
     design_remarks,
     ensemble_measures,
@@ -153,15 +153,16 @@ def write_result(
     with run_folder(folder) as run:
         certificate = _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
         wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
-        pictures = begin(result, executor) if wanted else dict[str, bytes]
+        pictures = begin(result, executor) if wanted else dict[str, Picture]
         _signals(run, result)
-        fan = _ensemble(run, many, checked, picture=wanted) if many else {}
+        fan = _ensemble(run, many, checked, drawn=wanted) if many else {}
         drawn = {**fan, **pictures()}
-        for name, content in drawn.items():
-            run.place(name).write_bytes(content)
+        for name, each in drawn.items():
+            run.place(f"{name}.png").write_bytes(each.png)
         if wanted:
             said = _first(result, checked, many) if first is None else first
-            run.text(PAGE, page(result, said, drawn, certificate=certificate, summary=summary))
+            sharp = {name: each.svg for name, each in drawn.items()}
+            run.text(PAGE, page(result, said, sharp, certificate=certificate, summary=summary))
         _summary(run, index, assessment, summary)
         run.commit(index)
     return Path(folder)
@@ -403,29 +404,28 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
     return " and ".join(plant.hyperplane_text(k) for k in plant.partition.between(before, after))
 
 
-def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], *, picture: bool) -> dict[str, bytes]:
+def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], *, drawn: bool) -> dict[str, Picture]:
     """Write a row for each member, and return the picture of all, by name.
 
     A time that never comes, and a figure that a member has not, are empty.
     """
     kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
-    header, drawn = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
+    header, rows = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow([*header, *figures, "mode_changes", "unresolved", "outcome"])
         errors = np.column_stack(list(figures.values())).tolist()
         counts = np.column_stack([kept.mode_changes, kept.unresolved]).tolist()
         ends = [outcome.kind for outcome in many.outcomes]
-        for number, (start, values, numbers, end) in enumerate(zip(drawn, errors, counts, ends, strict=True), 1):
+        for number, (start, values, numbers, end) in enumerate(zip(rows, errors, counts, ends, strict=True), 1):
             row = [*map(repr, start), *(repr(v) if np.isfinite(v) else "" for v in values), *numbers]
             writer.writerow([number, *row, end])
-    if not picture:
+    if not drawn:
         return {}
-    from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.spread import fan, starts_in_plane
 
-    plane = {"starts.png": png(starts_in_plane(many))} if many.variation.over == "plane" else {}
-    return {"ensemble.png": png(fan(many, checked))} | plane
+    plane = {"starts": picture(starts_in_plane(many))} if many.variation.over == "plane" else {}
+    return {"ensemble": picture(fan(many, checked))} | plane
 
 
 def _index(spec: Spec, effort: Effort) -> dict[str, Any]:

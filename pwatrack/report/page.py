@@ -15,7 +15,7 @@ from pwatrack.report.screen import joined
 from pwatrack.report.stays import Stay, stays
 from pwatrack.workflow.result import SimulatedLoop
 
-_FIRST = ("outputs.png", "tracking_error.png", "input.png", "ensemble.png")  # of the pictures; then by name
+_FIRST = ("outputs", "tracking_error", "input", "ensemble")  # of the pictures; then by name
 _WIDTH, _LEAST = 1000, 0.5  # dots of a row of bars, and of a bar
 _MOST = 20_000  # characters of the numbers of a claim, and of a spec, that are in the page: the files have all
 _CHECK = (
@@ -27,7 +27,7 @@ _CHECK = (
 def page(
     result: SimulatedLoop,
     first: Sequence[Row],
-    pictures: Mapping[str, bytes],
+    pictures: Mapping[str, str],
     *,
     certificate: str,
     summary: str | None = None,
@@ -37,20 +37,20 @@ def page(
     Args:
         result: The run.
         first: What the first screen says.
-        pictures: PNG files by name.
+        pictures: SVG files by name.
         certificate: The text of certificate.json.
         summary: That of summary.txt, where there is one.
     """
-    name, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
+    title, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
     body = Template(files("pwatrack.report").joinpath("page.html").read_text(encoding="utf-8")).substitute(
-        title=escaped(name),
+        title=escaped(title),
         screen=_rows(joined(first)),
-        pictures="".join(_picture(file, pictures[file]) for file in ordered if file in pictures),
+        pictures="".join(_picture(name, pictures[name]) for name in ordered if name in pictures),
         cells="".join(_part(part, rows, result.end) for part, rows in stays(result, _WIDTH)),
         claims="".join(_claims(result, json.loads(certificate))) + _unfolds(f"All of {SUMMARY}", summary or ""),
         spec=_spec(result),
     )
-    return document(name, body)
+    return document(title, body)
 
 
 def _rows(rows: Sequence[Row]) -> str:
@@ -59,9 +59,9 @@ def _rows(rows: Sequence[Row]) -> str:
     return "".join(f"<dt>{escaped(one)}</dt><dd{marked.get(one, '')}>{escaped(text)}</dd>" for one, text in rows)
 
 
-def _picture(file: str, png: bytes) -> str:
-    name = file.removesuffix(".png").replace("_", " ")
-    return f'<figure><button type="button">{image(png, name)}</button><figcaption>{escaped(name)}</figcaption></figure>'
+def _picture(file: str, svg: str) -> str:
+    name = file.replace("_", " ")
+    return f'<figure><button type="button">{image(svg, name)}</button><figcaption>{escaped(name)}</figcaption></figure>'
 
 
 def _part(part: str, rows: Sequence[Stay], end: float) -> str:

@@ -3,13 +3,16 @@
 import re
 import textwrap
 import warnings
-from collections.abc import Sequence
-from io import BytesIO
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO, StringIO
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import LayoutEngine
 from matplotlib.text import Text
@@ -71,10 +74,25 @@ def png(figure: Figure) -> bytes:
     """Return a picture as a PNG file."""
     figure.set_dpi(150)
     file, canvas = BytesIO(), FigureCanvasAgg(figure)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing")  # drawn as a box
+    with _any_letter():
         canvas.print_png(file, pil_kwargs={"compress_level": 1})  # type: ignore[no-untyped-call]
     return file.getvalue()
+
+
+def svg(figure: Figure) -> str:
+    """Return a picture as an SVG file, sharp at any size; the same picture is the same file."""
+    file, canvas = StringIO(), FigureCanvasSVG(figure)
+    with _any_letter(), mpl.rc_context({"svg.hashsalt": "pwatrack"}):
+        canvas.print_svg(file, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
+    return file.getvalue()
+
+
+@contextmanager
+def _any_letter() -> Iterator[None]:
+    """Draw a letter that the font lacks as a box, and say nothing."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        yield
 
 
 def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
@@ -119,6 +137,12 @@ def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
         frameon=False,
         borderaxespad=0.2,
     )
+
+
+def band(axes: Axes, t: Array, low: Array, high: Array, name: str) -> None:
+    """Fill what is between two curves, (K,) each, at no more times than can be told apart."""
+    few = slice(None, None, max(1, len(t) // COLUMNS))
+    axes.fill_between(t[few], low[few], high[few], label=name, **BAND)
 
 
 def plain(text: str) -> str:

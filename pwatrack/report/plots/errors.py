@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.report.figures import error_unit, states_unit
-from pwatrack.report.plots.canvas import ACTUAL, BAND, BOUND, REQUIRED, ROUNDING, canvas, label, legend, limits, plain
+from pwatrack.report.plots.canvas import ACTUAL, BOUND, REQUIRED, ROUNDING, band, canvas, label, legend, limits, plain
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.workflow.result import SimulatedLoop
 
@@ -78,11 +78,11 @@ def _panels(
     for axes, k in zip(panels, shown, strict=False):
         name, error = names[k], errors[:, k]
         seen = max(float(np.abs(error).max()), ROUNDING * float(np.abs(signals[:, k]).max()))
-        if (band := result.bands.get((kind, k))) is not None:
-            axes.fill_between(t, -band, band, label="proved, whatever the switching", **BAND)
-            for edge in (-band, band):
+        if (proved := result.bands.get((kind, k))) is not None:
+            band(axes, t, -proved, proved, "proved, whatever the switching")
+            for edge in (-proved, proved):
                 axes.plot(t, edge, color="0.6", linewidth=0.8)
-            seen = max(seen, min(_BEYOND * seen, float(band.max())))
+            seen = max(seen, min(_BEYOND * seen, float(proved.max())))
         axes.axhline(0, color="0.6", linewidth=0.8)
         if kind != "estimate":
             seen = max([seen, *_error_lines(axes, result, (-1, 1), name)])

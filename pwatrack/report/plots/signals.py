@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from pwatrack.arrays import Array
 from pwatrack.report.plots.canvas import (
     ACTUAL,
-    BAND,
     BINDS,
     DESIRED,
     ESTIMATE,
     LIMIT,
     REQUIRED,
     ROUNDING,
+    band,
     canvas,
     label,
     legend,
@@ -104,11 +104,12 @@ def control_input(result: SimulatedLoop) -> Figure:
             for sign in (-1, 1):
                 axes.axhline(sign * wish, label="required", **REQUIRED)
             drawn += [-wish, wish]
-        if (band := result.bands.get(("input", k))) is not None:
+        if (proved := result.bands.get(("input", k))) is not None:
             middle = response.u_ff[:, k]
-            near = band <= np.ptp(middle) / 2  # what is wider shows nothing but grey
+            near = proved <= np.ptp(middle) / 2  # what is wider shows nothing but grey
             if near.any():
-                axes.fill_between(response.t, middle - band, middle + band, where=near, label="proved", **BAND)
+                shown = np.where(near, proved, np.nan)
+                band(axes, response.t, middle - shown, middle + shown, "proved")
         return drawn
 
     curves = [(response.u, said[0], ACTUAL), (response.u_ff, said[1], DESIRED)]
