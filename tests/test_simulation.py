@@ -370,10 +370,19 @@ def test_multipliers_of_a_linear_flow_are_known() -> None:
 def test_an_unresolved_touch_becomes_a_remark(paper: Result) -> None:
     assert not any("rounding" in remark for remark in paper.remarks)
     touches = tuple(Unresolved(t=t, part="observer", guard=1) for t in (0.25, 1.25))
+    touches += (Unresolved(t=0.5, part="plant", guard=0, span=1e-9),)
     trace = replace(paper.response.trace, unresolved=touches)
     remarks = replace(paper, response=replace(paper.response, trace=trace)).remarks
     assert len(remarks) == len(paper.remarks) + 1
-    assert "observer comes within rounding of hyperplane 2 at t = 0.25 s and 1 more times" in remarks[-1]
+    first, *others = remarks[-1].split("; ")
+    assert (
+        first
+        == "within rounding of a hyperplane for up to 1e-09 s or a step of the simulation, on which side cannot be told"
+    )
+    assert others[1:] == [
+        "observer at hyperplane 2, t = 0.25 s and 1 more time",
+        "plant at hyperplane 1, t = 0.5 s",
+    ]
 
 
 def test_the_derivative_of_the_period_map_is_that_of_simulations(paper: Result) -> None:

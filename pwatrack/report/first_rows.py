@@ -106,8 +106,9 @@ def _proved(spec: Spec, controller: ProvedController, assessment: Assessment) ->
             yield label, text
     if assessment.acting or assessment.ends:
         tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
-        bounds = ", ".join(spec.words.limits(tracked)) or "no bound is proved"
-        yield "as sampled" if runs else ideal, f"{assessment.condition} in the end {bounds}".lstrip()
+        bounds = "in the end " + (", ".join(spec.words.limits(tracked)) or "no bound is proved")
+        bounds = "error to 0" if tracked and not any(size for _, size in tracked) else bounds
+        yield "as sampled" if runs else ideal, f"{assessment.condition} {bounds}".lstrip()
 
 
 def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: EnsembleResult | None) -> Iterator[Row]:

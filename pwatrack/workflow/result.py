@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, amount
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.simulation.actuator import Actuator
@@ -122,19 +122,19 @@ class SimulatedLoop:
 
 
 def _unresolved(trace: Trace) -> list[str]:
-    """Return one remark for each guard that was within rounding of 0."""
+    """Return a remark of all guards that were within rounding of 0, if there are any."""
+    if not trace.unresolved:
+        return []
     found: dict[tuple[str, int], list[Unresolved]] = {}
     for doubt in trace.unresolved:
         found.setdefault((doubt.part, doubt.guard), []).append(doubt)
-    remarks = []
-    for (part, guard), doubts in found.items():
-        span = max(doubt.span for doubt in doubts)
-        remarks.append(
-            f"the {part} comes within rounding of hyperplane {guard + 1} at t = {doubts[0].t:.9g} s"
-            + (f" and {len(doubts) - 1} more times" if len(doubts) > 1 else "")
-            + (f", for up to {span:.2g} s" if span else "")
-            + ": on which side it is then cannot be told, so that a mode change may be missing, or early or late by "
-            + ("that much" if span else "a moment")
-            + "; it changes the signals by no more than rounding"
-        )
-    return remarks
+    spans = [doubt.span for doubt in trace.unresolved]
+    late = " or ".join([f"{max(spans):.2g} s"] * bool(max(spans)) + ["a step of the simulation"] * (0 in spans))
+    places = [
+        f"{part} at hyperplane {guard + 1}, t = {doubts[0].t:.9g} s"
+        + f" and {amount(len(doubts) - 1, 'more time')}" * (len(doubts) > 1)
+        for (part, guard), doubts in found.items()
+    ]
+    said = f"within rounding of a hyperplane for up to {late}, on which side cannot be told"
+    said += f"; a mode change may be missing there, or early or late by up to {late}"
+    return ["; ".join([f"{said}, which changes the signals by no more than rounding", *places])]

@@ -25,10 +25,7 @@ def tracking_error(result: SimulatedLoop) -> Figure:
     controller, response, unit = result.controller, result.response, error_unit(result.spec, result.controller)
     kind, names = controller.tracking, controller.error_names
     desired = response.tracked_d if kind == "output" else response.x_d
-    title = (
-        f"Tracking error: at most {number_text(result.final_error, '.2g')} {unit}".rstrip()
-        + " in the last tenth of the time"
-    )
+    title = f"Tracking error: at most {result.outcome.final} in the last tenth of the time"
     title += ", at the samples" * ("final_error" in result.figures.sampled)
     bound = result.bands.get((kind, 0)) if len(names) == 1 else result.tracking_bound
     figure, panels = _panels(result, title, kind, names, response.tracking_error, desired, response.error_sizes)
@@ -47,11 +44,12 @@ def observer_error(result: SimulatedLoop) -> Figure:
     """Draw each observer error over time within its proved band, and ‖x − x̂‖, logarithmic (Figure 2)."""
     states, response = result.spec.problem.plant.states, result.response
     error, unit = response.observer_error, states_unit(result.spec)
-    title = f"Observer error: {number_text(error[-1], '.2g')} {unit}".rstrip() + " at the end"
     off, x = response.x_hat - response.x, response.x
+    floor = ROUNDING * float(np.abs(x / (response.state_sizes if len(states) > 1 else 1.0)).max())
+    end = f"{number_text(error[-1], '.2g')} {unit}".rstrip() if error[-1] >= floor else "that of rounding"
+    title = f"Observer error: {end} at the end"
     figure, panels = _panels(result, title, "estimate", states, off, x, response.state_sizes)
     bound = result.bands.get(("estimate", 0)) if len(states) == 1 else result.observer_bound
-    floor = ROUNDING * float(np.abs(x / (response.state_sizes if len(states) > 1 else 1.0)).max())
     _magnitude(panels[-1], response.t, error, bound, floor, f"‖x̂ − x‖{f' ({unit})' if unit else ''}")
     mark = REQUIRED | {"linestyle": "none", "marker": "_", "markersize": 14}
     for limit in limits(result, "final_observer_error"):
