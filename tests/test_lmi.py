@@ -18,7 +18,7 @@ from pwatrack.control import candidates, convergence, synthesis
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model, primal_dual
-from pwatrack.lmi.blocks import Scaling, step_length
+from pwatrack.lmi.blocks import Scaling, step_estimate, step_length
 from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.exact import prove
 from pwatrack.lmi.inequality import Inequality, Solver, lyapunov, quadratic_cost, state_feedback, weighted
@@ -224,9 +224,10 @@ def test_a_scaling_makes_both_matrices_one_and_a_step_ends_before_the_boundary(s
     np.testing.assert_allclose(scaling.into(S), D, atol=1e-8 * D.max())
     np.testing.assert_allclose(scaling.back(D), Z, atol=1e-8 * np.abs(Z).max())
     change = symmetric_part(random.normal(size=S.shape))
-    length = step_length([change], [scaling], 0.05)
+    length, most = (way([change], [scaling]) for way in (step_length, step_estimate))
     assert np.linalg.eigvalsh(D + length * (1 - 1e-9) * change).min() > -1e-9
-    assert length > 1 or np.linalg.eigvalsh(D + 1.06 * length * change).min() < 0
+    assert length > 1 or np.linalg.eigvalsh(D + 1.03 * length * change).min() < 0
+    assert length <= most
 
 
 @given(seed=seeds, n=st.integers(1, 5), cells=st.integers(1, 4))
@@ -616,7 +617,7 @@ def test_a_design_exists_in_any_units(length: float, time: float, force: float) 
     d, s = np.array([length, length / time]), time
     K, _ = synthesis.gain(Task(A=A, B=B, cells=CELLS[:2]))
     other, _ = synthesis.gain(Task(A=s * A * d[:, None] / d, B=s * B * d[:, None] / force, cells=CELLS[:2]))
-    np.testing.assert_allclose(other * d / force, K, rtol=1e-6)
+    np.testing.assert_allclose(other * d / force, K, rtol=1e-5)  # the margin is known to its gap, K less well
 
 
 def test_an_unreachable_unstable_mode_is_named() -> None:

@@ -11,8 +11,10 @@ import numpy as np
 
 from pwatrack.arrays import Array
 
-_SMALL = 12  # order up to which eigenvalues cost less than the factorizations that are tried in their place
 _FURTHER = 1.12  # the longest step that is told apart from longer ones: nine tenths of it are a whole step
+_NEAR = 0.02  # relative error of step lengths
+_BACK = 0.5  # of a length: how far it is gone back at most, where it is too long
+_NOWHERE = 1e-8  # a step so short is none
 
 
 class Blocks:
@@ -94,36 +96,54 @@ class Scaling:
         return np.asarray(self.E.transpose(0, 2, 1) @ X @ self.E)
 
 
-def step_length(change: Sequence[Array], scalings: Sequence[Scaling], near: float) -> float:
+def step_length(change: Sequence[Array], scalings: Sequence[Scaling]) -> float:
     """Return how far D may go along scaled changes before it leaves its cone, or a number above 1.1; or a little less.
 
-    By a share `near` it may be less.
+    A length that is a little shorter than the estimate most often is one. Else less and less is tried, and then an
+    interval halved.
     """
-    length = _FURTHER
-    for X, scaling in zip(change, scalings, strict=True):
-        if X.shape[1] <= _SMALL:
-            root = 1 / np.sqrt(scaling.d)
-            least = float(np.linalg.eigvalsh(root[:, :, None] * X * root[:, None]).min())
-            length = min(length, -1 / least) if least < 0 else length
-        else:
-            length = _searched(X, scaling.d, length, near)
-    return length
-
-
-def _searched(X: Array, d: Array, most: float, near: float) -> float:
-    """Return a length up to a largest one for which D + length · X is positive definite, by halving an interval."""
-    low, high = 0.0, most
-    trial = most
-    diagonal = np.arange(d.shape[1])
-    while high - low > near * high:
-        moved = trial * X
-        moved[:, diagonal, diagonal] += d
-        try:
-            np.linalg.cholesky(moved)
+    high = end = step_estimate(change, scalings)
+    low, off = 0.0, _NEAR / 2
+    trial = high if high == _FURTHER else (1 - off) * high
+    while low < _FURTHER and high - low > _NEAR * high and high > _NOWHERE:
+        if all(_positive(trial * X, scaling.d) for X, scaling in zip(change, scalings, strict=True)):
             low = trial
-        except np.linalg.LinAlgError:
+        else:
             high = trial
-        if low == most or high < 1e-8:
-            break
-        trial = low + (high - low) * (0.5 if low else 0.75)
+        off = min(2 * off, _BACK)
+        trial = (low + high) / 2 if low else (1 - off) * min(end, high)
     return low
+
+
+def step_estimate(change: Sequence[Array], scalings: Sequence[Scaling]) -> float:
+    """Return a length that D can go no further than along scaled changes, by little most often, or a number above 1.1.
+
+    The least eigenvalue of D^-½ X D^-½ is at most that on the span of e and its image, e a unit vector: near the end
+    scaled changes are nearly diagonal, so that it is a little below that.
+    """
+    least = min(_least(X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
+    return _FURTHER if -_FURTHER * least <= 1 else -1 / least
+
+
+def _positive(X: Array, d: Array) -> bool:
+    """Say whether all D + X are positive definite; X is overwritten."""
+    np.einsum("ijj->ij", X)[:] += d
+    try:
+        np.linalg.cholesky(X)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def _least(X: Array, d: Array) -> float:
+    """Return the least eigenvalue of D^-½ X D^-½, on the span of its image and e, where the diagonal is least."""
+    each, root = np.arange(len(X)), 1 / np.sqrt(d)
+    diagonal = np.diagonal(X, axis1=1, axis2=2) / d
+    k = diagonal.argmin(axis=1)
+    v = X[each, :, k] * root * root[each, k, None]
+    a = diagonal[each, k]
+    v[each, k] = 0.0
+    b = np.sqrt((v * v).sum(axis=1))
+    v *= root / np.where(b > 0, b, 1.0)[:, None]
+    c = (v * (X @ v[:, :, None])[:, :, 0]).sum(axis=1)
+    return float(((a + c) / 2 - np.hypot((a - c) / 2, b)).min())

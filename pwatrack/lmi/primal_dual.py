@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.blocks import Scaling, step_length
+from pwatrack.lmi.blocks import Scaling, step_estimate, step_length
 from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.linear_map import LinearMap
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
@@ -28,6 +28,7 @@ from pwatrack.lmi.program import SemidefiniteProgram, Solution
 _FAR = 30.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
+_EXACT = 1e-12  # likewise: what is off by less is as exact as rounding allows
 _STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
 _PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
 _SIGN, _SOON = 0.5, 0.1  # gap above which a sign is all that is asked for, and the one that leads to it soonest
@@ -35,7 +36,6 @@ _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 60  # iterations: answers that count take at most 50
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
 _LEAST_STEP = 1e-7  # below which there is no way to go
-_ROUGH, _FINE = 0.15, 0.06  # relative errors of step lengths, of the direction that tells μ and of the others
 _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
 _SHARE = (0.8, 0.99)  # of the way to the boundary, where that is short and where it is a whole step
@@ -47,9 +47,10 @@ _DENSE = 2e6  # multiplications in a step, up to which one matrix for the whole 
 
 @dataclass(frozen=True, kw_only=True)
 class _Iterate:
-    """v, slacks and multipliers of all constraints, each as one vector, and the multipliers of the equalities."""
+    """v, A(v), slacks and multipliers of all constraints, as a vector each, and the multipliers of the equalities."""
 
     v: Array
+    image: Array
     s: Array
     z: Array
     y: Array
@@ -183,7 +184,7 @@ class _Rest:
     @classmethod
     def of(cls, linear: LinearMap, at: _Iterate) -> "_Rest":
         return cls(
-            missing=-linear.constant - linear.apply(at.v) - at.s,
+            missing=-linear.constant - at.image - at.s,
             lacking=linear.values - linear.rows @ at.v,
             slope=-linear.cost - linear.adjoint(at.z) - at.y @ linear.rows,
             gap=float(at.s @ at.z),
@@ -220,7 +221,8 @@ def _start(linear: LinearMap) -> _Iterate:
         largest = float(np.linalg.norm(constant, axis=(1, 2)).max())
         S[:] = max(1.0, largest) * np.sqrt(N) * np.eye(N)
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
-    return _Iterate(v=np.zeros(linear.size), s=s, z=z, y=np.zeros(len(linear.values)))
+    zero = (np.zeros(size) for size in (linear.size, linear.blocks.size, len(linear.values)))
+    return _Iterate(v=next(zero), image=next(zero), s=s, z=z, y=next(zero))
 
 
 def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
@@ -235,7 +237,8 @@ def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
         return None
     mean = last.gap / linear.blocks.order
     v = linear.vector(last.P, last.Y, last.t)
-    s, z = -linear.constant - linear.apply(v), linear.blocks.of(last.multipliers, beside=mean)
+    image = linear.apply(v)
+    s, z = -linear.constant - image, linear.blocks.of(last.multipliers, beside=mean)
     stacks = list(zip(linear.blocks.stacks(s), linear.blocks.stacks(z), strict=True))
     changed = max(float(np.abs((S * Z).sum(axis=(1, 2))).max()) / S.shape[1] for S, Z in stacks)
     ratio, mu = np.linalg.norm(s) / np.linalg.norm(z), max(mean, _CHANGED * changed)
@@ -245,7 +248,7 @@ def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
         near, turned = ratio * mu / far, Q.transpose(0, 2, 1)
         S[:] = (Q * np.where(values > 0, far, near)[:, None]) @ turned
         Z[:] = (Q * np.where(values > 0, near, far)[:, None] / ratio) @ turned
-    return _Iterate(v=v, s=s, z=z, y=np.zeros(len(linear.values)))
+    return _Iterate(v=v, image=image, s=s, z=z, y=np.zeros(len(linear.values)))
 
 
 def _scalings(linear: LinearMap, at: _Iterate) -> list[Scaling] | None:
@@ -274,27 +277,28 @@ class _Step:
         steps grow longer by it.
         """
         first = self.towards([_diagonal(-x.d) for x in self.scalings])
-        primal, dual = (min(1.0, length) for length in self.lengths(first, _ROUGH))
+        primal, dual = (min(1.0, length) for length in self._estimates(first))
         after = 0.0
         for s, z, x in zip(first.s, first.z, self.scalings, strict=True):
             D = _diagonal(x.d)
             after += float(np.vdot(D + primal * s, D + dual * z))
         aim = max(min(1.0, max(0.0, after / self.linear.blocks.order / mu)) ** 3 * mu, least)
         best = self.towards(self._targets(first, aim))
-        reach = self.lengths(best, _FINE)
+        reach = self._estimates(best)
         for _ in range(_CORRECTIONS):
             if min(reach) >= 1:
                 break
             other = self.towards(self._targets(best, aim))
-            further = self.lengths(other, _FINE)
+            further = self._estimates(other)
             if min(1.0, further[0]) * min(1.0, further[1]) <= _LONGER * min(1.0, reach[0]) * min(1.0, reach[1]):
                 break
             best, reach = other, further
-        return self.refined(best), reach
+        lengths = (step_length(change, self.scalings) for change in (best.s, best.z))
+        return self.refined(best), (next(lengths), next(lengths))
 
-    def lengths(self, move: _Move, near: float) -> tuple[float, float]:
-        """Return how far S and Z may go."""
-        return step_length(move.s, self.scalings, near), step_length(move.z, self.scalings, near)
+    def _estimates(self, move: _Move) -> tuple[float, float]:
+        """Return how far S and Z may go at most."""
+        return step_estimate(move.s, self.scalings), step_estimate(move.z, self.scalings)
 
     def _targets(self, move: _Move, aim: float) -> list[Array]:
         """Return what both changes, scaled, are to add up to for S Z = aim · I, with the second order of a move."""
@@ -313,14 +317,17 @@ class _Step:
         return _Move(v, y, s, [target - X for target, X in zip(targets, s, strict=True)])
 
     def refined(self, move: _Move) -> _Move:
-        """Return a direction, refined once.
+        """Return a direction, refined once where that changes anything.
 
         What is added to v is far below its rounding, and not below that of the scaled changes, of which the
         multipliers are made: so they have it added by itself.
         """
         rows = self.linear.rows
         slope = self.rest.slope - self.equations.adjoint(move.z) - move.y @ rows
-        v, y = self._inverse(slope, self.rest.lacking - rows @ move.v)
+        lacking = self.rest.lacking - rows @ move.v
+        if max(np.abs(slope).max(), np.abs(lacking).max(initial=0.0)) <= _EXACT * (1 + np.abs(self.linear.cost).max()):
+            return move
+        v, y = self._inverse(slope, lacking)
         images = self.equations.apply(v)
         s = [X - image for X, image in zip(move.s, images, strict=True)]
         return _Move(move.v + v, move.y + y, s, [X + image for X, image in zip(move.z, images, strict=True)])
@@ -343,9 +350,11 @@ class _Step:
         dZ = np.empty(self.linear.blocks.size)
         for place, X, scaling in zip(self.linear.blocks.stacks(dZ), move.z, self.scalings, strict=True):
             place[:] = scaling.back(X)
-        dS = self.rest.missing - self.linear.apply(move.v)
+        image = self.linear.apply(move.v)
+        dS = self.rest.missing - image
         while max(primal, dual) >= _LEAST_STEP:
-            moved = _Iterate(v=at.v + primal * move.v, s=at.s + primal * dS, z=at.z + dual * dZ, y=at.y + dual * move.y)
+            v, image_of_v, s = at.v + primal * move.v, at.image + primal * image, at.s + primal * dS
+            moved = _Iterate(v=v, image=image_of_v, s=s, z=at.z + dual * dZ, y=at.y + dual * move.y)
             found = _scalings(self.linear, moved)
             if found is not None:
                 return moved, found
