@@ -6,15 +6,15 @@ Z ≻ 0 there is one E with E S Eᵀ = E⁻ᵀ Z E⁻¹ = D, diagonal: the coord
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil, log
 
 import numpy as np
 
 from pwatrack.arrays import Array
 
 _FURTHER = 1.12  # the longest step that is told apart from longer ones: nine tenths of it are a whole step
-_NEAR = 0.02  # relative error of step lengths
-_BACK = 0.5  # of a length: how far it is gone back at most, where it is too long
-_NOWHERE = 1e-8  # a step so short is none
+_NEXT = 0.98  # of a length: the next shorter one that is tried
+_NOWHERE = 1000  # times that: no way to go
 
 
 class Blocks:
@@ -99,30 +99,27 @@ class Scaling:
 def step_length(change: Sequence[Array], scalings: Sequence[Scaling]) -> float:
     """Return how far D may go along scaled changes before it leaves its cone, or a number above 1.1; or a little less.
 
-    A length that is a little shorter than the estimate most often is one. Else less and less is tried, and then an
-    interval halved.
-    """
-    high = end = step_estimate(change, scalings)
-    low, off = 0.0, _NEAR / 2
-    trial = high if high == _FURTHER else (1 - off) * high
-    while low < _FURTHER and high - low > _NEAR * high and high > _NOWHERE:
-        if all(_positive(trial * X, scaling.d) for X, scaling in zip(change, scalings, strict=True)):
-            low = trial
-        else:
-            high = trial
-        off = min(2 * off, _BACK)
-        trial = (low + high) / 2 if low else (1 - off) * min(end, high)
-    return low
-
-
-def step_estimate(change: Sequence[Array], scalings: Sequence[Scaling]) -> float:
-    """Return a length that D can go no further than along scaled changes, by little most often, or a number above 1.1.
-
-    The least eigenvalue of D^-½ X D^-½ is at most that on the span of e and its image, e a unit vector: near the end
-    scaled changes are nearly diagonal, so that it is a little below that.
+    It is the first of a falling sequence of lengths that does, so that rounding seldom changes it. The least eigenvalue
+    of a part of each change says which are too long, and most often the next one is the one.
     """
     least = min(_least(X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
-    return _FURTHER if -_FURTHER * least <= 1 else -1 / least
+    short = 0 if -_FURTHER * least <= 1 else ceil(log(-_FURTHER * least) / -log(_NEXT))
+
+    def stays(k: int) -> bool:
+        length = _length(k)
+        return all(_positive(length * X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
+
+    long, by = short - 1, 1
+    while short < _NOWHERE and not stays(short):
+        long, short, by = short, short + by, 2 * by
+    while short - long > 1:
+        middle = (long + short) // 2
+        long, short = (long, middle) if stays(middle) else (middle, short)
+    return _length(short) if short < _NOWHERE else 0.0
+
+
+def _length(k: int) -> float:
+    return float(_FURTHER * _NEXT**k)
 
 
 def _positive(X: Array, d: Array) -> bool:

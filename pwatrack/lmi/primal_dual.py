@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.blocks import Scaling, step_estimate, step_length
+from pwatrack.lmi.blocks import Scaling, step_length
 from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.linear_map import LinearMap
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
@@ -277,28 +277,27 @@ class _Step:
         steps grow longer by it.
         """
         first = self.towards([_diagonal(-x.d) for x in self.scalings])
-        primal, dual = (min(1.0, length) for length in self._estimates(first))
+        primal, dual = (min(1.0, length) for length in self._lengths(first))
         after = 0.0
         for s, z, x in zip(first.s, first.z, self.scalings, strict=True):
             D = _diagonal(x.d)
             after += float(np.vdot(D + primal * s, D + dual * z))
         aim = max(min(1.0, max(0.0, after / self.linear.blocks.order / mu)) ** 3 * mu, least)
         best = self.towards(self._targets(first, aim))
-        reach = self._estimates(best)
+        reach = self._lengths(best)
         for _ in range(_CORRECTIONS):
             if min(reach) >= 1:
                 break
             other = self.towards(self._targets(best, aim))
-            further = self._estimates(other)
+            further = self._lengths(other)
             if min(1.0, further[0]) * min(1.0, further[1]) <= _LONGER * min(1.0, reach[0]) * min(1.0, reach[1]):
                 break
             best, reach = other, further
-        lengths = (step_length(change, self.scalings) for change in (best.s, best.z))
-        return self.refined(best), (next(lengths), next(lengths))
+        return self.refined(best), reach
 
-    def _estimates(self, move: _Move) -> tuple[float, float]:
-        """Return how far S and Z may go at most."""
-        return step_estimate(move.s, self.scalings), step_estimate(move.z, self.scalings)
+    def _lengths(self, move: _Move) -> tuple[float, float]:
+        """Return how far S and Z may go."""
+        return step_length(move.s, self.scalings), step_length(move.z, self.scalings)
 
     def _targets(self, move: _Move, aim: float) -> list[Array]:
         """Return what both changes, scaled, are to add up to for S Z = aim · I, with the second order of a move."""
