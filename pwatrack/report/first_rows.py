@@ -117,7 +117,7 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
     if result is not None:
         how, outcome = _conditions(result), result.outcome
         said = f"{_ENDS.get(outcome.kind)}, error ≤ {outcome.final} in the last tenth; {outcome.largest} before"
-        said += "; 'tracks' is 1 % of reference and start" * (outcome.kind != "within its bound")
+        said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
         figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
