@@ -55,7 +55,7 @@ def page(
 
 def _rows(rows: Sequence[Row]) -> str:
     """Return labels and sentences; what is missed or warned of is marked."""
-    marked = {"missed": ' class="missed"', "warning": ' class="warning"', "question": ' class="warning"'}
+    marked = dict.fromkeys(("missed", "warning", "question"), ' class="warning"')
     return "".join(f"<dt>{escaped(one)}</dt><dd{marked.get(one, '')}>{escaped(text)}</dd>" for one, text in rows)
 
 
