@@ -144,7 +144,7 @@ def _minimise(
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
         if not 0 < gap < np.inf:
             break
-        if not max(off) <= _OFF and _impossible(linear, at):
+        if not max(off) <= _OFF and _impossible(linear, at, rest):
             return at, number, True
         if off[0] <= _OFF:
             best = at, number, False
@@ -202,10 +202,10 @@ def _beyond(value: float, rest: _Rest, against: float, share: float) -> bool:
     return against < value <= rest.objective and rest.gap <= share * (value + rest.gap - against)
 
 
-def _impossible(linear: LinearMap, at: _Iterate) -> bool:
+def _impossible(linear: LinearMap, at: _Iterate, rest: _Rest) -> bool:
     """Say whether the multipliers say that no v has A(v) + C ⪯ 0, F v = b: A*(Z) + Fᵀ y = 0 and tr C Z > bᵀ y."""
     value = _value(linear, at)
-    return bool(value > 0 and np.abs(linear.adjoint(at.z) + at.y @ linear.rows).max() <= _IMPOSSIBLE * value)
+    return bool(value > 0 and np.abs(rest.slope + linear.cost).max() <= _IMPOSSIBLE * value)
 
 
 def _value(linear: LinearMap, at: _Iterate) -> float:
