@@ -9,14 +9,14 @@ import numpy as np
 from pwatrack.arrays import Array, up
 from pwatrack.claims.cost import Costs
 from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
-from pwatrack.claims.limits import NoSaturation
+from pwatrack.claims.limits import NoSaturation, ideal
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
-from pwatrack.control.words import IDEAL, Words, all_cells, down, load_kind, matrix_text
+from pwatrack.control.words import Words, all_cells, down, load_kind, matrix_text
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.exact import Proof
@@ -93,7 +93,7 @@ class Decay(Claim):
             theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
             constant = up(1 / controller.guarantees.rate)
             said = f"proved: error {ends} from every start, time constant {constant} s"
-            yield "ideal loop", f"{said}; {IDEAL}{bounded}, {theorem}"
+            yield "ideal loop", f"{said}; {ideal(controller)}{bounded}, {theorem}"
         yield "K, L", in_a_line(words, controller.design.K, "L", controller.design.L, "K and L are in gains.json")
 
 

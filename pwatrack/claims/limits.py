@@ -228,15 +228,17 @@ class NoSaturation(Claim):
         if not self.promises:
             yield f"from which starts {never} could not be proved"
 
-    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield whether the start of the run keeps off all limits, where that is proved."""
-        if self.from_this_start:
-            yield "ideal loop", "no limit of an input is reached from this start"
-
     @property
     def from_this_start(self) -> bool:
         """Whether it is proved that no limit is reached from the start of the run."""
         return any(promise.of_this_run(self.room.left) for promise in self.promises)
+
+
+def ideal(controller: ProvedController) -> str:
+    """Return what the loop of the theorems is without, and that no limit is reached from the start of the run."""
+    if any(claim.from_this_start for claim in controller.claims_of(NoSaturation)):
+        return "no limit reached from this start; with no noise or sampling"
+    return "with no limits, noise or sampling"
 
 
 def promises(

@@ -32,10 +32,11 @@ from pwatrack.claims.exact_text import (
     signals,
     term_content,
 )
+from pwatrack.claims.limits import ideal
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.synthesis import Gains
-from pwatrack.control.words import IDEAL, Words, sized
+from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
 from pwatrack.lmi.peak_gain import PeakGain, peak_gain
 from pwatrack.lmi.polynomial import AnyProof
@@ -169,7 +170,7 @@ class Practical(Claim):
         ends = words.limits((form, size) for form, size in self.final.items() if form[0] == tracked)
         constant, widths = up(1 / controller.guarantees.rate), ", ".join(_width_text(words, m) for m in self.merges)
         said = f"proved: in the end {', '.join(ends)} from every start, time constant {constant} s"
-        yield "ideal loop", f"{said}; {IDEAL}; no exact tracking is possible: {widths}"
+        yield "ideal loop", f"{said}; {ideal(controller)}; no exact tracking is possible: {widths}"
 
 
 def least_merges(

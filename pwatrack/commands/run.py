@@ -193,7 +193,9 @@ class _Made:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
                 kept: dict[str, Any] = {"assessment": assessed(spec, controller), "effort": self.effort}
                 files.write_design(spec, controller, folder, broken=refusal, **kept)
-                refusal.add_note(f"  UNSTABLE as sampled: do not run the gains in {folder!s}; the ideal loop is proved")
+                refusal.add_note(
+                    f"  UNSTABLE as sampled: do not run the gains in {folder!s}: proved is the ideal loop only"
+                )
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
             found = self._how_far(refusal, status) if shown != "nothing" or not expected else None

@@ -13,7 +13,6 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.loads import Load
 from pwatrack.model.pwa import PWASystem
 
-IDEAL = "with no limits, noise or sampling"  # of the loop that the theorems are about
 Kind = Literal["disturbance", "noise", "load", "start", "uncertain"]
 
 

@@ -53,7 +53,7 @@ def first_rows(
 ) -> Iterator[Row]:
     """Yield what the first screen says of a design or a run, if it has room."""
     beyond = list(_beyond(spec, controller, assessment))
-    rows = [*_proved(spec, controller, assessment), *(("NOT proved", text) for text in beyond)]
+    rows = [*_proved(spec, controller, assessment, result), *(("NOT proved", text) for text in beyond)]
     whole = all(label != "NOT proved" for label, _ in rows)
     yield "verdict", _verdict(spec, assessment, checked, result, many, whole=whole)
     yield from _came_out(checked, result, many)
@@ -88,19 +88,24 @@ def _verdict(
     if ended == "off" and not any("final_error" in each.requirement.figure for each in checked):
         return "NOT READY: error above 1 %"
     ended = "as required" if ended == "off" else ended
-    odd = ((assessment.warnings, "warning"), (assessment.questions, "question"))
-    if heed := ", ".join(amount(len(texts), name) for texts, name in odd if texts):
-        return f"NOT READY: {heed}" if assessment.warnings else f"{ended}; IS THE PLANT RIGHT? {heed}"
-    absent = [name for name in _EXPECTED if getattr(spec.scenario.conditions, name) is None]
-    if absent:
-        return f"{ended}; without {', '.join(absent)}"
-    return f"{ended}; {'proved as it runs' if whole else 'partly proved'}"
+    absent = ", ".join(name for name in _EXPECTED if getattr(spec.scenario.conditions, name) is None)
+    without = f"; without {absent}" * bool(absent)
+    if assessment.warnings:
+        return f"NOT READY: {amount(len(assessment.warnings), 'warning')}{without}"
+    if assessment.questions:
+        return f"{ended}{without}; PLANT RIGHT?"
+    return f"{ended}{without or ('; proved as it runs' if whole else '; partly proved')}"
 
 
-def _proved(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
+def _proved(
+    spec: Spec, controller: ProvedController, assessment: Assessment, result: SimulatedLoop | None
+) -> Iterator[Row]:
     """Yield what is proved, and the gains, of the loop that runs; if that is not proved, of the ideal one."""
     sampled = [claim.proof is not None for claim in controller.claims_of(SampledLoop)]
     ideal, runs = "ideal loop", any(sampled)
+    for name, share in ({} if result is None or not runs else result.at_limits).items():
+        if share:
+            yield "as sampled", f"{name} is at a limit {percent(share)} of the time, of which nothing is proved"
     for label, text in brief(spec.words, controller):
         if not (runs and label == ideal) and not (sampled and label == "K, L"):
             yield label, text
@@ -146,10 +151,12 @@ def _margins(controller: ProvedController, assessment: Assessment) -> Iterator[R
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in margins.gain)
         phase, delay = f"{degrees(margins.phase):.3g}", number_text(margins.delay, ".3g")
-        across = f"proof: K ± {100 * of_K:.2g} %; " * bool(of_K)
-        ends = [f"above × {low}"] * bool(margins.gain[0]) + [f"below × {high}"] * isfinite(margins.gain[1])
-        gain = " and ".join(ends) or "any"
-        yield "margins", f"cell by cell: phase {phase}°, delay {delay} s; {across}gain {gain}"
+        across = f"; proof holds to K ± {100 * of_K:.2g} %" * bool(of_K)
+        if isfinite(margins.gain[1]):
+            gain = f"× {low} to {high}" if margins.gain[0] else f"up to × {high}"
+        else:
+            gain = f"from × {low} on" if margins.gain[0] else "by any factor"
+        yield "margins", f"each cell alone: phase {phase}°, delay {delay} s, gain {gain}{across}"
 
 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[str]:
@@ -165,6 +172,7 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
     if covered(spec.objectives.uncertain, conditions):
+        yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
         conditions = replace(conditions, plant=None, parameters=None)
     limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
@@ -187,5 +195,5 @@ def _inputs(result: SimulatedLoop | None) -> Iterator[Row]:
         if limits is not None and name in result.at_limits:
             share = result.at_limits[name]
             ends = " and ".join(number_text(v, "g") for v in limits[k].tolist() if abs(v) < float("inf"))
-            of = f"limits {ends}, " + (f"at one {percent(share)} of the time" if share else "never at one")
+            of = f"limits {ends}, " + (f"at them {percent(share)} of the time" if share else "never reached")
         yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f" ({of})"

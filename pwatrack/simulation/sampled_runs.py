@@ -53,7 +53,7 @@ def check_sample_time(controller: ProvedController, conditions: Conditions) -> N
     message, maps, longest = found
     offer = dying_out(maps, longest)
     if offer is None:
-        message += "; no shorter time was found at which simulated runs from other starts die out"
+        message += "; of shorter times that were tried, none is stable in simulation"
         remedy = Remedy(Way.SLOWER_GAINS)
     else:
         message += f"; at {longest:g} s no cell by itself is unstable, "

@@ -131,11 +131,11 @@ def _disturbed(
             if (wish.figure == "final_errors" and wish.signal in (None, name))
             or (wish.figure == "final_error" and len(controller.error_names) == 1 and wish.share is None)
         ]
-        most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
+        most, what = (min(limits), "the required") if limits else (_HALF * float(references[k]), "half the reference,")
         if bound is not None and bound > most > 0:
             yield (
-                f"proved under {kinds} is no more than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
-                + f"; {what} {most:.3g} {unit}".rstrip()
+                f"proved under {kinds} only {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                + f", above {what} {most:.3g} {unit}".rstrip()
                 + f"; {_calmer(kinds)}"
             )
 
@@ -178,8 +178,8 @@ def _near_limits(spec: Spec, controller: ProvedController) -> Iterator[str]:
                 way, side = ("down", "lower") if limit == low else ("up", "upper")
                 rest, end = (number_text(round(v / span, 6) * span, ".4g") for v in (rests, limit))
                 yield (
-                    f"the feedforward of {name} goes {way} to {rest} {unit}".rstrip() + f", its {side} limit is {end}: "
-                    f"{100 * max(left, 0.0) / span:.1f} % of its range is left; move reference or limit"
+                    f"feedforward of {name} {way} to {rest} {unit}".rstrip() + f", {side} limit {end}: "
+                    f"{100 * max(left, 0.0) / span:.1f} % of its range left; move reference or limit"
                 )
             if room.peak is not None and (beyond := [s for i, s in room.peak.beyond(room.limits) if i == k]):
                 first = float((room.peak.low[k], room.peak.high[k])[beyond[0]])
