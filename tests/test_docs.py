@@ -137,7 +137,7 @@ def test_every_file_of_a_run_is_in_the_reference() -> None:
         and isinstance(node.value, str)
         and re.fullmatch(r"[a-z_]+\.(json|csv|png|parquet)", node.value)
     } - {"going.json", "coming.json", "sarif.json"}
-    for names, kind in re.findall(r"\(([a-z_|]+)\)\\.(json|csv|png)", run_folder._NAMES.pattern):
+    for names, kind in re.findall(r"\(([a-z_|]+)\)\\.(json|csv|png)", run_folder.NAMES.pattern):
         named |= {f"{name}.{kind}" for name in names.split("|")}
     assert len(named) > 20
     assert {name for name in named if f"`{name}`" not in page} == set()

@@ -36,7 +36,7 @@ SPEC = "spec.txt"  # as the run read it; no .yaml, or a batch over a folder of r
 INCOMPLETE = "incomplete"  # the verdict while files are moved: no run
 
 _FORMAT = "pwatrack run 1"
-_NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
+NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
     rf"{re.escape(WRITTEN)}|{re.escape(SPEC)}|{re.escape(SUMMARY)}|{re.escape(PAGE)}|"
     r"(tracking_error|observer_error|outputs|input|cells|states|internal_states|steady_state|estimates|ensemble|pareto)\.png|"
@@ -86,7 +86,7 @@ class RunFolder:
 
     def place(self, name: str) -> Path:
         """Return the path to write the file `name` to for now; a ValueError if runs have no such file."""
-        if not _NAMES.fullmatch(name):
+        if not NAMES.fullmatch(name):
             raise ValueError(f"{name} is none of the files of a run")
         self._names.append(name)
         return self._stage / name
@@ -114,7 +114,7 @@ class RunFolder:
                 if (self.path / name).is_dir():
                     raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder there")
             known = _index(self.path).get("files", {})
-            there = [file.name for file in self.path.iterdir() if _NAMES.fullmatch(file.name) and not file.is_dir()]
+            there = [file.name for file in self.path.iterdir() if NAMES.fullmatch(file.name) and not file.is_dir()]
             old = {name: known[name] for name in there if name in known and _is(self.path / name, known[name])}
             self._write_index({**index, "files": new}, INDEX)
             self._write_index({"verdict": INCOMPLETE, "files": old}, _GOING)
@@ -216,7 +216,7 @@ def stamp(path: Path) -> tuple[int, int] | None:
 def kept_files(path: Path) -> list[str]:
     """Return the files that a run found under one of its names and kept, since no run had left them so."""
     names = sorted(file.name for file in path.glob("*~*"))
-    return [name for name in names if name.startswith(f"{INDEX}~") or _NAMES.fullmatch(name.partition("~")[0])]
+    return [name for name in names if name.startswith(f"{INDEX}~") or NAMES.fullmatch(name.partition("~")[0])]
 
 
 def _index(path: Path) -> dict[str, Any]:
