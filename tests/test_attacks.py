@@ -349,7 +349,7 @@ simulation: {duration: 30, sample_time: 0.05, plant: {parameters: {a: -1.06}}}
     assert code == 0
     first, _, rest = said.partition("(8) controller")
     assert "off: |x − x_d| up to" in first
-    assert "are about the loop without: plant with a = -1.06" in first
+    assert "are about the loop without: other a = -1.06" in first
     assert "with K and L changed in every entry by less than" in rest
     assert "the plant as designed" in rest
 

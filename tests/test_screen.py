@@ -246,7 +246,7 @@ def test_a_small_phase_margin_is_told_with_the_change_that_gives_most(tmp_path: 
     assert float(found[3]) == pytest.approx(phases[best], rel=0.05)
 
 
-BOUND = "error to 0 for plant with m = {}, k = 64; to a bound only"
+BOUND = "error to 0 for other m = {}, k = 64; to a bound only"
 
 
 def test_a_plant_of_the_box_is_not_called_unproved(specs: Path, tmp_path: Path) -> None:
@@ -257,4 +257,4 @@ def test_a_plant_of_the_box_is_not_called_unproved(specs: Path, tmp_path: Path) 
         spec = load_spec(tmp_path / "box.yaml")
         made = design(spec)
         rows = [text for label, text in first_rows(spec, made, assessed(spec, made)) if label == "NOT proved"]
-        assert rows == [f"for plant with m = {value}, k = 64" if named else BOUND.format(value)]
+        assert rows == [f"for other m = {value}, k = 64" if named else BOUND.format(value)]

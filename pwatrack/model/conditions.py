@@ -83,8 +83,7 @@ class Conditions:
         said = []
         if self.parameters is not None:
             said.append(
-                "plant with "
-                + ", ".join(f"{name} = {number_text(value, 'g')}" for name, value in self.parameters.items())
+                "other " + ", ".join(f"{name} = {number_text(value, 'g')}" for name, value in self.parameters.items())
             )
         if self.limits is not None:
             said += [

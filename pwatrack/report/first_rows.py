@@ -121,7 +121,7 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
     yield from (("missed", each.text) for each in checked if not each.met)
     if result is not None:
         how, outcome = _conditions(result), result.outcome
-        said = f"{_ENDS.get(outcome.kind)}, error ≤ {outcome.final} in the last tenth; {outcome.largest} before"
+        said = f"{_ENDS.get(outcome.kind)}, largest error {outcome.final} in the last tenth; {outcome.largest} before"
         said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
