@@ -230,6 +230,15 @@ def test_how_long_an_input_was_at_its_limit_is_what_its_samples_say(tmp_path: Pa
     assert free.figures.lowest["u"] == pytest.approx(free.response.u.min(), rel=1e-3)
 
 
+@pytest.mark.parametrize("program", ["", "  controller: {sample_time: 0.02}\n"])
+def test_an_input_begins_with_the_first_value_that_it_has(tmp_path: Path, program: str) -> None:
+    """And not at 0, where a program is before it starts."""
+    path = stage(tmp_path, output="{constant: 0.2, step: [{size: 0.01, at: 0, smooth: 0.5}]}", more=program)
+    result = simulate(load_spec(path))
+    assert result.figures.lowest["u"] == pytest.approx(result.response.u.min(), rel=1e-2)
+    assert result.response.u.min() > 1
+
+
 def test_a_small_phase_margin_is_told_with_the_change_that_gives_most(tmp_path: Path) -> None:
     spec = load_spec(stage(tmp_path))
     made = design(spec)

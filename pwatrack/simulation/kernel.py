@@ -704,8 +704,10 @@ def _sample(field: FlowTables, at: KernelState, log: Log) -> None:
 
 @_inlined
 def _break(field: FlowTables, at: KernelState, log: Log) -> None:
-    """Write down from where it goes on anew."""
+    """Write down from where it goes on anew: at the start, from what all that happens then leaves."""
     s = at.state[0]
+    if s.k == 0 and s.done == 0.0:
+        s.breaks = 0
     log.break_time[s.breaks], log.break_mode[s.breaks] = (s.k + s.done) * field.h, s.m
     for i in range(len(at.z)):
         log.break_z[s.breaks, i] = at.z[i]
