@@ -223,6 +223,7 @@ FROM ?= boards
 .PHONY: boards
 boards: $(DEV) ## plants and programs of others, from files in FROM=folder; tables in runs/boards (half an hour)
 	@$(BIN)/python -m benchmarks.boards.drivetrain
+	@$(BIN)/python -m benchmarks.boards.drivetrain_design
 	@$(BIN)/python -m benchmarks.boards.modelica $(FROM)/msl_reference
 	@$(BIN)/python -m benchmarks.boards.sdplib $(FROM)/sdplib --vsdp $(FROM)/vsdp/SDPLIB_SYS1.csv
 	@$(BIN)/python -m benchmarks.boards.compleib $(FROM)/compleib

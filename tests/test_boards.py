@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from benchmarks.boards import compleib, drivetrain, limited, modelica, sdplib
+from benchmarks.boards import compleib, drivetrain, drivetrain_design, limited, modelica, sdplib
 from pwatrack import load_spec, plant
 
 
@@ -61,6 +61,21 @@ def test_the_drivetrain_has_the_field_of_its_bodies(masses: int) -> None:
         wanted[7::2] = x[8::2]
         wanted[8::2] = [0.01 * (a - b - v) for (a, b), v in zip(loads[:-1], x[8::2], strict=True)]
         cell = int(twist > -0.03) + int(twist > 0.03)
+        assert np.allclose(found.A[cell] @ x + found.b[cell] + found.B[:, 0] * u, wanted, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("masses", [0, 1, 3])
+def test_the_drivetrain_without_its_controller_has_the_field_of_its_bodies(masses: int) -> None:
+    found, rng = plant(**drivetrain_design.sections(masses)["system"]).system, np.random.default_rng(masses)
+    for cell, twist in enumerate((-0.05, 0.0, 0.05)):
+        x, u = rng.normal(size=4 + 2 * masses), rng.normal()
+        x[0] = twist
+        torque = 1e4 * (max(0.0, twist - 0.03) + min(0.0, twist + 0.03))
+        bends, speeds = 1e5 * x[3 : 3 + masses], x[3 + masses :]
+        loads = [*zip([torque, *bends], [*bends, 0.0], strict=True)]
+        rates = [0.01 * (a - b - v) for (a, b), v in zip(loads[:-1], speeds, strict=False)]
+        rates.append((loads[-1][0] - 5.6 * x[-1]) / 140)
+        wanted = [x[2] / 12 - speeds[0], (u - x[1]) / 0.1, (x[1] - torque / 12) / 0.3, *-np.diff(speeds), *rates]
         assert np.allclose(found.A[cell] @ x + found.b[cell] + found.B[:, 0] * u, wanted, rtol=1e-9, atol=1e-9)
 
 

@@ -48,6 +48,21 @@ def test_the_least_guaranteed_cost_of_a_pair_is_that_of_the_program(seed: int) -
         assert np.linalg.eigvalsh(left).max() < 1e-8 * np.linalg.norm(X)
 
 
+@pytest.mark.parametrize("decade", range(-8, 5, 2))
+def test_a_regulator_of_a_hardly_damped_chain_is_found_however_much_the_input_costs(decade: int) -> None:
+    """A stop couples a driven mass to one that swings 10⁵ times: only a τ far from the sizes of the cost has an X."""
+    free = np.array([[0, 1, 0, 0], [0, -0.1, 0, 0], [0, 0, 0, 1], [0, 0, -1, -1e-5]])
+    push = np.outer([0, -1.0, 0, 1.0], [1.0, 0, 0, 0])
+    B, A = np.array([[0.0], [1], [0], [0]]), np.stack([free, free + push])
+    pair = Pair.of(A)
+    assert pair is not None
+    X = pair.regulator(B, np.eye(4), 10.0**decade * np.eye(1), np.eye(4))
+    assert X is not None
+    K = -(10.0**-decade) * B.T @ X
+    for A_i in A:
+        assert np.linalg.eigvalsh(X @ (A_i + B @ K) + (A_i + B @ K).T @ X).max() < 0
+
+
 def test_what_is_no_pair_is_none() -> None:
     M = of_rank_one(1, 4)
     assert Pair.of(np.stack([M[0], M[1] + np.diag([0.1, 0.2, 0, 0])])) is None

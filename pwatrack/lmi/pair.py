@@ -25,7 +25,8 @@ _ENCLOSED = 1e-4  # of a rate, up to which it is sought
 _INSIDE = (1e-3, 1e-2, 0.1)  # of that rate, given up so that there is a P well inside
 _LIGHT = (1e-9, 1e-7, 1e-5)  # of |f|²: how strict the inequality is to be
 _ON_AXIS = 1e-13  # of the largest eigenvalue: the real part of one that may lie on the imaginary axis
-_GRID = np.arange(-8.0, 9.0, 2.0)  # decades of τ about its natural size at which it is looked at first
+_SOLVED = 1e-6  # of ‖X‖ ‖A‖: what an equation may be off by
+_AROUND, _STEP = 8.0, 2.0  # decades of τ about its natural sizes, and how far apart it is looked at first
 _NEAR = 0.05  # decades, up to which the best τ is sought
 
 
@@ -78,8 +79,8 @@ class Pair:
             P = self.common(rate, 1.0, 10.0**log)
             return np.inf if P is None else float(np.log(np.linalg.cond(P)))
 
-        best = _least(condition, -np.log10(float(self.f @ self.f) or 1.0)) if self.f.any() else 0.0
-        return self.common(rate, 1.0, 10.0**best)
+        about = -np.log10(float(self.f @ self.f) or 1.0)
+        return self.common(rate, 1.0, 10.0 ** (_least(condition, about, about) if self.f.any() else 0.0))
 
     def regulator(self, B: Array, Q: Array, R: Array, starts: Array) -> Array | None:
         """Return the X (n, n) of the least guaranteed cost: of u = −R⁻¹ Bᵀ X x, whatever the switching.
@@ -99,8 +100,9 @@ class Pair:
             X = solved(log)
             return np.inf if X is None else float(np.log(np.einsum("kj,ji,ki->", starts, X, starts)))
 
-        sizes = float(self.g @ self.g) / max(float(np.linalg.norm(Q, 2)), 1e-300)
-        return solved(_least(cost, np.log10(sizes) if sizes > 0 else 0.0))
+        one = max(float(self.g @ self.g), 1e-300)  # where g gᵀ / τ is as large as Q, and where it is as what u can do
+        sizes = one / np.linalg.norm(Q, 2), one * np.linalg.norm(act, 2) / np.linalg.norm(self.M, 2) ** 2
+        return solved(_least(cost, *np.log10([min(sizes), max(sizes)])) if self.f.any() else 0.0)
 
     def _largest_rate(self) -> float:
         """Return about the largest rate that one P has for both."""
@@ -139,24 +141,32 @@ def riccati(A: Array, G: Array, Q: Array) -> Array | None:
         >>> riccati(np.array([[1.0]]), np.array([[1.0]]), np.array([[3.0]])).round(12).tolist()
         [[3.0]]
     """
-    n, H = len(A), np.block([[A, -G], [-Q, -A.T]])
+    n, sizes = len(A), (float(np.linalg.norm(Q)), float(np.linalg.norm(G)))
+    scale = np.sqrt(sizes[0] / sizes[1]) if min(sizes) > 0 else 1.0  # X / scale has blocks G and Q of one size
+    H = np.block([[A, -G * scale], [-Q / scale, -A.T]])
     try:
         _, U, stable = schur(H, sort="lhp")
         X = np.linalg.solve(U[:n, :n].T, U[n:, :n].T) if stable == n else np.full((n, n), np.nan)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return (X + X.T) / 2 if np.isfinite(X).all() else None
+    X = (X + X.T) / 2
+    off = A.T @ X + X @ A - X @ G @ X * scale + Q / scale
+    near = float(np.linalg.norm(off)) <= _SOLVED * max(float(np.linalg.norm(X)) * float(np.linalg.norm(A)), 1e-300)
+    return X * scale if np.isfinite(X).all() and near else None
 
 
-def _least(value: Callable[[float], float], about: float) -> float:
-    """Return where a function, which may be infinite, is least near one number: at or beside the best of a grid."""
-    values = [value(about + step) for step in _GRID]
+def _least(value: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function, which may be infinite, is least near two numbers: at or beside the best of a grid."""
+    grid = np.arange(low - _AROUND, high + _AROUND + _STEP / 2, _STEP)
+    values = [value(at) for at in grid.tolist()]
     best = int(np.argmin(values))
     if not np.isfinite(values[best]):
-        return about
-    middle, reach = about + float(_GRID[best]), float(_GRID[1] - _GRID[0])
-    ends = middle - reach, middle + reach
+        return high
+    middle = float(grid[best])
     found = scipy.optimize.minimize_scalar(
-        lambda x: min(value(x), 1e3), bounds=ends, method="bounded", options={"xatol": _NEAR}
+        lambda x: min(value(x), 1e3),
+        bounds=(middle - _STEP, middle + _STEP),
+        method="bounded",
+        options={"xatol": _NEAR},
     )
     return float(found.x) if found.fun <= values[best] else middle
