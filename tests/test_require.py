@@ -1,6 +1,7 @@
 """Figures of a run that can be required, and what is said where they are missed."""
 
 import json
+import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -472,13 +473,16 @@ def test_what_took_too_long_to_enclose_is_said_of_the_samples_and_keeps_no_limit
     enclosed = simulate(load_spec(path)).figures
     assert call("simulate", path, "--ensemble", 3, "--out", tmp_path / "out").exit_code == 0
     assert index_of(tmp_path / "out")["simulation"]["sampled"] == []
-    monkeypatch.setattr("pwatrack.simulation.enclosure.MOST_PIECES", 1)
+    monkeypatch.setattr("pwatrack.simulation.enclosure.MOST_NUMBERS", 1)
     result = simulate(load_spec(path))
     u, error = np.abs(result.response.u).max(), result.response.error_norm
     assert result.figures.sampled == tuple(name for name in QUANTITIES if name in SIZES)
     assert result.figures.largest_input["u"] == u < 0.999 * enclosed.largest_input["u"]
     assert result.figures.final_error == error[-3:].max()
     assert " at the samples in the last tenth of the time" in result.outcome.text
+    short = " ".join(call("simulate", path, "--out", tmp_path / "short").output.split())
+    assert re.search(r"largest error \S+ m at the samples", short)
+    assert re.search(r"u from \S+ to \S+ N at the samples \(", short)
     run = call("simulate", path, "--ensemble", 3, "--verbose", "--out", tmp_path / "out")
     assert run.exit_code == 6, run.output
     said = " ".join(run.output.split())

@@ -252,7 +252,7 @@ def test_of_a_w_that_took_too_long_to_enclose_nothing_is_said(tmp_path: Path, mo
     path = tmp_path / "short.yaml"
     changes = {"box": "d: 10%", "reference": '"0.15*cos(2*pi*t)"', "duration": 20.25, "step": 0.5, "start": 0.15}
     path.write_text(SHORT.format(**changes, other="d: 8.8"))
-    monkeypatch.setattr("pwatrack.simulation.enclosure.MOST_PIECES", 3)
+    monkeypatch.setattr("pwatrack.simulation.enclosure.MOST_NUMBERS", 3)
     result = simulate(load_spec(path))
     assert result.w is None
     assert list(run_rows(result)) == [

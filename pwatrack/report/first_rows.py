@@ -17,6 +17,7 @@ from pwatrack.control.controller import ProvedController, Row
 from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, error_unit, percent
 from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked
+from pwatrack.simulation.figures import ERRORS
 from pwatrack.simulation.margins import worst
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import covered
@@ -121,7 +122,8 @@ def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: En
     yield from (("missed", each.text) for each in checked if not each.met)
     if result is not None:
         how, outcome = _conditions(result), result.outcome
-        said = f"{_ENDS.get(outcome.kind)}, largest error {outcome.final} in the last tenth; {outcome.largest} before"
+        error = f"{outcome.final}{result.figures.seen(*ERRORS)}"
+        said = f"{_ENDS.get(outcome.kind)}, largest error {error} in the last tenth; {outcome.largest} before"
         said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
@@ -196,4 +198,5 @@ def _inputs(result: SimulatedLoop | None) -> Iterator[Row]:
             share = result.at_limits[name]
             ends = " and ".join(number_text(v, "g") for v in limits[k].tolist() if abs(v) < float("inf"))
             of = f"limits {ends}, " + (f"at them {percent(share)} of the time" if share else "never reached")
-        yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f" ({of})"
+        seen = figures.seen("largest_input")
+        yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f"{seen} ({of})"

@@ -111,8 +111,7 @@ def print_result(
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = [f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in figures["largest_input"].items()]
-    seen = " at the samples" * ("largest_input" in result.figures.sampled)
-    table.add_row("largest input", ", ".join(inputs) + seen)
+    table.add_row("largest input", ", ".join(inputs) + result.figures.seen("largest_input"))
     for name in plant.tracked_names[:_SIGNALS]:
         table.add_row("step" if name in figures["overshoot"] else "settling", _step_text(figures, name, result))
     if (steady := result.steady_state) is not None:

@@ -32,7 +32,7 @@ _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the
 _ONE_LOOK = 6  # the degree where pieces are short, and none is split
 _STIFF = 9  # doublings of s from which on a chord is better: ε ‖F ℓ‖⁴ / 4! is above 1e-7
 _DEEPEST = -80  # halvings of s: by then any step is below the rounding of time
-MOST_PIECES = 3_000_000  # of all of a trajectory: half a minute; after it no bound is known
+MOST_NUMBERS = 150_000_000  # of all pieces of a trajectory: ten seconds or so; after it no bound is known
 TOGETHER = 20_000_000  # numbers of pieces that are bounded together: 160 MB, a few times
 _NOISE = 8  # times what rounding is: bounds that are closer cannot be told apart
 
@@ -144,7 +144,7 @@ class _Tables:
 
     def __init__(self, turns: Transitions, rows: Array, degree: int = _DEGREE) -> None:
         self.turns, self.F, self.rows, self.u = turns, turns.F.T, rows.T, unit(len(turns.F))
-        self.degree = degree
+        self.degree, self.numbers = degree, len(self.rows) + (degree + 2) * self.rows.shape[1]  # of each piece
         self._terms: dict[int, Array] = {}
         self._bounds: dict[int, Array] = {}
 
@@ -220,7 +220,7 @@ class Enclosing:
     """
 
     def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Transitions] | None = None) -> None:
-        self._rows, self._norm, self._left = rows, norm, MOST_PIECES
+        self._rows, self._norm, self._left = rows, norm, MOST_NUMBERS
         self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
         self._best = self._high = self._size = np.zeros(0)  # attained, bounds, sizes of each side: highs, then −lows
@@ -314,7 +314,7 @@ class Enclosing:
         t, zeta, length = (part[keep] for part in pieces)
         if not len(t) or self._left < 0:
             return None
-        self._left -= len(t)
+        self._left -= len(t) * table.numbers
         levels = table.turns.levels(length)
         with np.errstate(over="ignore", invalid="ignore"):
             powers, off = table.polynomials(zeta, length, int(levels.max()))
@@ -360,8 +360,8 @@ class Enclosing:
 
 def _parts(table: _Tables, pieces: _Pieces) -> Iterator[_Pieces]:
     """Yield pieces, so many at a time as can be bounded together."""
-    (order, q), count = table.rows.shape, len(pieces.t)
-    most = max(TOGETHER // (order + (_DEGREE + 2) * q), 1)
+    count = len(pieces.t)
+    most = max(TOGETHER // table.numbers, 1)
     for k in range(0, count, most):
         yield _Pieces(*(part[k : k + most] for part in pieces)) if count > most else pieces
 

@@ -20,6 +20,7 @@ _STILL = 1e-9  # of the size of a signal: by less it does not move
 _BAND = 0.02  # of what an output has to go, or of the amplitude of its reference
 _RISES = 0.1, 0.9  # of the way
 _RANGES = "inputs", "limited"  # of what it is told how low and how high it gets
+ERRORS = "final_error", "largest_error"  # in the norm of all that is tracked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +55,10 @@ class Figures:
     # observer, … by name. From event to event, so exact where no mode change is in doubt.
     time_share: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sampled: tuple[str, ...] = ()  # which sizes are at the samples only, by these names: to enclose them took too long
+
+    def seen(self, *names: str) -> str:
+        """Say that any of these sizes is at the samples only, where that is so."""
+        return " at the samples" if {*names} & {*self.sampled} else ""
 
     @staticmethod
     def of(

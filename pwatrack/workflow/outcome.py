@@ -18,7 +18,7 @@ from pwatrack.control.controller import Seen
 from pwatrack.errors import ExitCode
 from pwatrack.real import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.figures import ERRORS, Figures
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.workflow.bands import Along, covered, limited, start_of_errors
 
@@ -220,9 +220,9 @@ class RunMonitor:
             bound, beyond = float(np.linalg.norm(each)) * OVER_SUMS, acts.texts(controller.plant)
         if beyond or figures.final_error > bound:
             return None
-        final, worst = self._norms(figures)
+        (final, worst), seen = self._norms(figures), figures.seen(*ERRORS)
         text = f"within its bound{', which is larger than the reference' if practical.beyond else ''}: "
-        text += f"{self._norm_name} at most {final}{_seen(figures)} in the last tenth of the time ({worst} at worst)"
+        text += f"{self._norm_name} at most {final}{seen} in the last tenth of the time ({worst} at worst)"
         return Outcome(kind="within its bound", text=text)
 
     def _settled(self, figures: Figures) -> Outcome:
@@ -230,13 +230,13 @@ class RunMonitor:
         last, largest, seen = self._largest[9], self._largest.max(axis=0), " at the samples"
         if len(self._names) == 1:
             last, largest = np.array([figures.final_error]), np.array([figures.largest_error])
-            seen = _seen(figures)
+            seen = figures.seen(*ERRORS)
         size = np.where(self._expected > 0, self._expected, largest)
         allowed = np.maximum(_TRACKS * size, self._rounding(self._end))
         when = "in the last tenth of the time"
         if (last <= allowed).all():
             final, worst = self._norms(figures)
-            text = f"tracks: {self._norm_name} at most {final}{_seen(figures)} {when} ({worst} at worst)"
+            text = f"tracks: {self._norm_name} at most {final}{figures.seen(*ERRORS)} {when} ({worst} at worst)"
             return Outcome(kind="tracks", text=text)
         k = int(np.argmax(last / allowed))
         name, expected = self._names[k], self._expected[k]
@@ -297,8 +297,3 @@ def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     )
     balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
     return np.asarray(scale), float(np.linalg.norm(balanced, 2))
-
-
-def _seen(figures: Figures) -> str:
-    """Say that an error was looked at at the samples only, where it was."""
-    return " at the samples" if {"final_error", "largest_error"} & set(figures.sampled) else ""
