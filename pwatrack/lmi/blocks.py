@@ -13,7 +13,7 @@ import numpy as np
 from pwatrack.arrays import Array
 
 _FURTHER = 1.12  # the longest step that is told apart from longer ones: nine tenths of it are a whole step
-_NEXT = 0.98  # of a length: the next shorter one that is tried
+_NEXT, _ROUGHLY = 0.98, 0.9  # of a length: the next shorter one that is tried
 _NOWHERE = 1000  # times that: no way to go
 
 
@@ -96,17 +96,18 @@ class Scaling:
         return np.asarray(self.E.transpose(0, 2, 1) @ X @ self.E)
 
 
-def step_length(change: Sequence[Array], scalings: Sequence[Scaling]) -> float:
+def step_length(change: Sequence[Array], scalings: Sequence[Scaling], *, roughly: bool = False) -> float:
     """Return how far D may go along scaled changes before it leaves its cone, or a number above 1.1; or a little less.
 
     It is the first of a falling sequence of lengths that does, so that rounding seldom changes it. The least eigenvalue
     of a part of each change says which are too long, and most often the next one is the one.
     """
     least = min(_least(X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
-    short = 0 if -_FURTHER * least <= 1 else ceil(log(-_FURTHER * least) / -log(_NEXT))
+    ratio = _ROUGHLY if roughly else _NEXT
+    short = 0 if -_FURTHER * least <= 1 else ceil(log(-_FURTHER * least) / -log(ratio))
 
     def stays(k: int) -> bool:
-        length = _length(k)
+        length = _FURTHER * ratio**k
         return all(_positive(length * X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
 
     long, by = short - 1, 1
@@ -115,11 +116,7 @@ def step_length(change: Sequence[Array], scalings: Sequence[Scaling]) -> float:
     while short - long > 1:
         middle = (long + short) // 2
         long, short = (long, middle) if stays(middle) else (middle, short)
-    return _length(short) if short < _NOWHERE else 0.0
-
-
-def _length(k: int) -> float:
-    return float(_FURTHER * _NEXT**k)
+    return float(_FURTHER * ratio**short) if short < _NOWHERE else 0.0
 
 
 def _positive(X: Array, d: Array) -> bool:

@@ -22,7 +22,7 @@ from pwatrack.rational import Rational, diagonal, floats, fraction_of, identity,
 
 _LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
-GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.1, 0.5)  # the same, more and more, until a margin is left that can be proved
+GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)  # likewise, more and more, until it can be proved
 BITS = 40  # of the entries of P or Q, once its diagonal is about 1
 _MORE_BITS = (BITS, 80, 160)  # the same, more where P is so ill-conditioned that fewer do not hold it
 

@@ -25,10 +25,11 @@ from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.linear_map import LinearMap
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
-_FAR = 30.0  # times the objective's coefficients: the multipliers at the start
+_FAR = 10.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
 _EXACT = 1e-12  # likewise: what is off by less is as exact as rounding allows
+_NONE = 1e-14  # of the data: what v lacks is rounding
 _STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
 _PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
 _SIGN, _SOON = 0.5, 0.1  # gap above which a sign is all that is asked for, and the one that leads to it soonest
@@ -38,7 +39,7 @@ _SHORTER = 0.8  # times the step, where a matrix is not definite after it
 _LEAST_STEP = 1e-7  # below which there is no way to go
 _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
-_SHARE = (0.8, 0.99)  # of the way to the boundary, where that is short and where it is a whole step
+_SHARE = (0.8, 0.995)  # of the way to the boundary, where that is short and where it is a whole step
 _NOTHING = 1e-3  # of the objective of the program before it in a sequence: what counts as 0
 _CHANGED = 0.1  # of the largest mean of S Z that an answer has in the next program: μ that this one begins with
 _IMPOSSIBLE = 1e-8  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all
@@ -177,16 +178,19 @@ class _Rest:
 
     missing: Array
     lacking: Array
+    pull: Array  # A*(Z)
     slope: Array
     gap: float
     objective: float
 
     @classmethod
     def of(cls, linear: LinearMap, at: _Iterate) -> "_Rest":
+        pull = linear.adjoint(at.z)
         return cls(
             missing=-linear.constant - at.image - at.s,
             lacking=linear.values - linear.rows @ at.v,
-            slope=-linear.cost - linear.adjoint(at.z) - at.y @ linear.rows,
+            pull=pull,
+            slope=-linear.cost - pull - at.y @ linear.rows,
             gap=float(at.s @ at.z),
             objective=float(linear.cost @ at.v),
         )
@@ -264,6 +268,7 @@ class _Step:
         self.linear, self.scalings, self.rest = linear, scalings, rest
         self.equations = linear.step(scalings)
         stacks = linear.blocks.stacks(rest.missing)
+        self.exact = rest.missed <= _NONE * (1 + float(np.abs(linear.constant).max()))  # then A*(Z) is all that is lost
         self.lost = [scaling.into(X) for scaling, X in zip(scalings, stacks, strict=True)]
         away = [self.equations.solve(row) for row in linear.rows]
         self.away = np.array(away).reshape(linear.rows.shape)
@@ -276,8 +281,8 @@ class _Step:
         That term is first taken from the direction to μ = 0, and then from the direction that it led to, as long as
         steps grow longer by it.
         """
-        first = self.towards([_diagonal(-x.d) for x in self.scalings])
-        primal, dual = (min(1.0, length) for length in self._lengths(first))
+        first = self.towards([_diagonal(-x.d) for x in self.scalings], self.rest.pull if self.exact else None)
+        primal, dual = (min(1.0, length) for length in self._lengths(first, roughly=True))
         after = 0.0
         for s, z, x in zip(first.s, first.z, self.scalings, strict=True):
             D = _diagonal(x.d)
@@ -293,11 +298,12 @@ class _Step:
             if min(1.0, further[0]) * min(1.0, further[1]) <= _LONGER * min(1.0, reach[0]) * min(1.0, reach[1]):
                 break
             best, reach = other, further
-        return self.refined(best), reach
+        return best, reach
 
-    def _lengths(self, move: _Move) -> tuple[float, float]:
+    def _lengths(self, move: _Move, *, roughly: bool = False) -> tuple[float, float]:
         """Return how far S and Z may go."""
-        return step_length(move.s, self.scalings), step_length(move.z, self.scalings)
+        primal, dual = (step_length(changes, self.scalings, roughly=roughly) for changes in (move.s, move.z))
+        return primal, dual
 
     def _targets(self, move: _Move, aim: float) -> list[Array]:
         """Return what both changes, scaled, are to add up to for S Z = aim · I, with the second order of a move."""
@@ -308,28 +314,35 @@ class _Step:
             targets.append(target + _diagonal(aim / d - d))
         return targets
 
-    def towards(self, targets: Sequence[Array]) -> _Move:
-        """Return the direction on which both changes, scaled, add up to these."""
-        apart = [lost - target for lost, target in zip(self.lost, targets, strict=True)]
-        v, y = self._inverse(self.rest.slope + self.equations.adjoint(apart), self.rest.lacking)
+    def towards(self, targets: Sequence[Array], pull: Array | None = None) -> _Move:
+        """Return the direction on which both changes, scaled, add up to these; `pull`, of what is lost, if known."""
+        if pull is None:
+            pull = self.equations.adjoint([lost - target for lost, target in zip(self.lost, targets, strict=True)])
+        v, y = self._inverse(self.rest.slope + pull, self.rest.lacking)
         s = [lost - image for lost, image in zip(self.lost, self.equations.apply(v), strict=True)]
         return _Move(v, y, s, [target - X for target, X in zip(targets, s, strict=True)])
 
-    def refined(self, move: _Move) -> _Move:
-        """Return a direction, refined once where that changes anything.
+    def refined(self, move: _Move) -> tuple[Array, Array, Array]:
+        """Return how v, y and the Z change in a direction, refined once where that changes anything.
 
         What is added to v is far below its rounding, and not below that of the scaled changes, of which the
         multipliers are made: so they have it added by itself.
         """
-        rows = self.linear.rows
-        slope = self.rest.slope - self.equations.adjoint(move.z) - move.y @ rows
+        rows, dZ = self.linear.rows, self.unscaled(move.z)
+        slope = self.rest.slope - self.linear.adjoint(dZ) - move.y @ rows
         lacking = self.rest.lacking - rows @ move.v
         if max(np.abs(slope).max(), np.abs(lacking).max(initial=0.0)) <= _EXACT * (1 + np.abs(self.linear.cost).max()):
-            return move
+            return move.v, move.y, dZ
         v, y = self._inverse(slope, lacking)
-        images = self.equations.apply(v)
-        s = [X - image for X, image in zip(move.s, images, strict=True)]
-        return _Move(move.v + v, move.y + y, s, [X + image for X, image in zip(move.z, images, strict=True)])
+        z = [X + image for X, image in zip(move.z, self.equations.apply(v), strict=True)]
+        return move.v + v, move.y + y, self.unscaled(z)
+
+    def unscaled(self, changes: Sequence[Array]) -> Array:
+        """Return the vector of changes of Z whose scaled forms these are."""
+        z = np.empty(self.linear.blocks.size)
+        for place, X, scaling in zip(self.linear.blocks.stacks(z), changes, self.scalings, strict=True):
+            place[:] = scaling.back(X)
+        return z
 
     def _inverse(self, right: Array, lacking: Array) -> tuple[Array, Array]:
         """Return the v whose scaled left-hand sides have this adjoint, but for y times the rows of the equalities."""
@@ -346,14 +359,12 @@ class _Step:
         """Return the next iterate, almost at the boundary, and its scalings; None if there is no way to go."""
         share = _SHARE[0] + (_SHARE[1] - _SHARE[0]) * min(1.0, *lengths)
         primal, dual = (min(1.0, share * length) for length in lengths)
-        dZ = np.empty(self.linear.blocks.size)
-        for place, X, scaling in zip(self.linear.blocks.stacks(dZ), move.z, self.scalings, strict=True):
-            place[:] = scaling.back(X)
-        image = self.linear.apply(move.v)
+        dv, dy, dZ = self.refined(move)
+        image = self.linear.apply(dv)
         dS = self.rest.missing - image
         while max(primal, dual) >= _LEAST_STEP:
-            v, image_of_v, s = at.v + primal * move.v, at.image + primal * image, at.s + primal * dS
-            moved = _Iterate(v=v, image=image_of_v, s=s, z=at.z + dual * dZ, y=at.y + dual * move.y)
+            v, image_of_v, s = at.v + primal * dv, at.image + primal * image, at.s + primal * dS
+            moved = _Iterate(v=v, image=image_of_v, s=s, z=at.z + dual * dZ, y=at.y + dual * dy)
             found = _scalings(self.linear, moved)
             if found is not None:
                 return moved, found

@@ -40,6 +40,7 @@ _PARTS = {  # of what is not as the theorems assume
     "rates": "rate limits",
 }
 _EXPECTED = ("sampling", "limits", "noise")  # of the file of a machine
+_LEAST_GAIN = 1e-3  # times what it is: a gain that may be less still is said to be stable from here on
 
 
 def first_rows(
@@ -151,7 +152,7 @@ def _margins(controller: ProvedController, assessment: Assessment) -> Iterator[R
     """Yield the margins of the worst cell by itself beside what the proof across cells leaves."""
     margins, (_, of_K, _) = worst(assessment.margins), controller.guarantees.robust
     if margins is not None and margins.crossover:
-        low, high = (number_text(v, ".3g") for v in margins.gain)
+        low, high = (number_text(v, ".3g") for v in (max(margins.gain[0], _LEAST_GAIN), margins.gain[1]))
         phase, delay = f"{degrees(margins.phase):.3g}", number_text(margins.delay, ".3g")
         across = f"; proof holds to K ± {100 * of_K:.2g} %" * bool(of_K)
         if isfinite(margins.gain[1]):
