@@ -14,6 +14,7 @@ from pwatrack.claims.registry import brief
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import ProvedController, Row
+from pwatrack.model.conditions import Sampling
 from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, error_unit, percent
 from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked
@@ -67,7 +68,7 @@ def first_rows(
     if largest is not None:
         yield "largest box", largest_text(largest)
     yield from _inputs(result)
-    yield from _margins(controller, assessment)
+    yield from _margins(controller, assessment, spec.scenario.conditions.sampling)
 
 
 def _verdict(
@@ -85,18 +86,18 @@ def _verdict(
     if many is not None and many.failed:
         return f"NOT READY: {len(many.failed):,} of {len(many.figures):,} members fail"
     ended: str = "designed" if result is None else result.outcome.kind
-    if ended in ("grows", "above its bound"):
-        return f"NOT READY: {ended}"
-    if ended == "off" and not any("final_error" in each.requirement.figure for each in checked):
-        return "NOT READY: error above 1 %"
-    ended = "as required" if ended == "off" else ended
     absent = ", ".join(name for name in _EXPECTED if getattr(spec.scenario.conditions, name) is None)
     without = f"; without {absent}" * bool(absent)
+    if ended in ("grows", "above its bound"):
+        return f"NOT READY: {ended}{without}"
+    if ended == "off" and not any("final_error" in each.requirement.figure for each in checked):
+        return f"NOT READY: error above 1 %{without}"
+    ended = "as required" if ended == "off" else ended
     if assessment.warnings:
         return f"NOT READY: {amount(len(assessment.warnings), 'warning')}{without}"
     if assessment.questions:
-        return f"{ended}{without}; PLANT RIGHT?"
-    return f"{ended}{without or ('; proved as it runs' if whole else '; partly proved')}"
+        return f"{ended}{without}{'; partly proved' * (not whole)}; PLANT RIGHT?"
+    return f"{ended}{without}{'; partly proved' * (not whole) or '; proved as it runs' * (not absent)}"
 
 
 def _proved(
@@ -148,18 +149,19 @@ def _conditions(result: SimulatedLoop) -> str:
     return ", ".join([f"{result.end:g} s", *had])
 
 
-def _margins(controller: ProvedController, assessment: Assessment) -> Iterator[Row]:
+def _margins(controller: ProvedController, assessment: Assessment, sampling: Sampling | None) -> Iterator[Row]:
     """Yield the margins of the worst cell by itself beside what the proof across cells leaves."""
     margins, (_, of_K, _) = worst(assessment.margins), controller.guarantees.robust
     if margins is not None and margins.crossover:
         low, high = (number_text(v, ".3g") for v in (max(margins.gain[0], _LEAST_GAIN), margins.gain[1]))
         phase, delay = f"{degrees(margins.phase):.3g}", number_text(margins.delay, ".3g")
-        across = f"; proof holds to K ± {100 * of_K:.2g} %" * bool(of_K)
+        of = "each cell alone" if sampling is None else "ideal loop by cell"
+        across = f"; proved to K ± {100 * of_K:.2g} %" * bool(of_K)
         if isfinite(margins.gain[1]):
             gain = f"× {low} to {high}" if margins.gain[0] else f"up to × {high}"
         else:
-            gain = f"from × {low} on" if margins.gain[0] else "by any factor"
-        yield "margins", f"each cell alone: phase {phase}°, delay {delay} s, gain {gain}{across}"
+            gain = f"≥ × {low}" if margins.gain[0] else "by any factor"
+        yield "margins", f"{of}: phase {phase}°, delay {delay} s, gain {gain}{across}"
 
 
 def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) -> Iterator[str]:

@@ -53,7 +53,8 @@ def check_sample_time(controller: ProvedController, conditions: Conditions) -> N
     message, maps, longest = found
     offer = dying_out(maps, longest)
     if offer is None:
-        message += "; of shorter times that were tried, none is stable in simulation"
+        message += f"; shorter times were tried down to {longest * _NEXT ** (_TRIES - 1):.2g} s, and with none do all "
+        message += "simulated runs from other starts die out"
         remedy = Remedy(Way.SLOWER_GAINS)
     else:
         message += f"; at {longest:g} s no cell by itself is unstable, "

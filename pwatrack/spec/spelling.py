@@ -53,7 +53,7 @@ _WORDS: Mapping[Way, str] = {
     Way.DESIRED_START: "{hint}: give x_d(0) as start instead",
     Way.SMALLER_BOX: "{hint}: 'design --robust largest' finds how far the box can be scaled",
     Way.FASTER_SAMPLES: "write 'sample_time: {0:g}' (s): simulated runs died out there, which is no proof",
-    Way.SLOWER_GAINS: "have slower gains: larger 'sizes' of outputs slow L down, smaller ones of inputs K",
+    Way.SLOWER_GAINS: "slow the gains down: larger 'sizes' of outputs for L, smaller ones of inputs for K",
 }
 _IN_PYTHON: Mapping[Way, str] = {
     Way.STATE_TRACKING: f"{_STATE_TRACKING}: tracking='state'",
@@ -69,7 +69,7 @@ _IN_PYTHON: Mapping[Way, str] = {
     Way.OTHER_SOLVER: "{hint}: solver='{0}'",
     Way.GAIN_BOUND: "give a bound beside it, for example 'gain': 100, or the rate that is wanted",
     Way.FASTER_SAMPLES: "'sample_time': {0:g} (s): simulated runs died out there, which is no proof",
-    Way.SLOWER_GAINS: "have slower gains: larger 'sizes' of outputs slow L down, smaller ones of inputs K",
+    Way.SLOWER_GAINS: "slow the gains down: larger 'sizes' of outputs for L, smaller ones of inputs for K",
 }
 
 

@@ -131,12 +131,12 @@ def _disturbed(
             if (wish.figure == "final_errors" and wish.signal in (None, name))
             or (wish.figure == "final_error" and len(controller.error_names) == 1 and wish.share is None)
         ]
-        most, what = (min(limits), "the required") if limits else (_HALF * float(references[k]), "half the reference,")
+        most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
         if bound is not None and bound > most > 0:
             yield (
-                f"proved under {kinds} only {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
-                + f", above {what} {most:.3g} {unit}".rstrip()
-                + f"; {_calmer(kinds)}"
+                f"under {kinds} no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                + f" is proved; {most:.3g} {unit}".rstrip()
+                + f" is {what}; {_calmer(kinds)}"
             )
 
 
