@@ -221,12 +221,13 @@ step-bench: $(DEV) ## time a step of exported C against a hand-written loop and 
 FROM ?= boards
 
 .PHONY: boards
-boards: $(DEV) ## plants and programs of others, from files in FROM=folder; tables in runs/boards (half an hour)
+boards: $(DEV) ## plants and programs of others, from files in FROM=folder; a page in runs/boards (half an hour)
 	@$(BIN)/python -m benchmarks.boards.drivetrain
 	@$(BIN)/python -m benchmarks.boards.drivetrain_design
 	@$(BIN)/python -m benchmarks.boards.modelica $(FROM)/msl_reference
 	@$(BIN)/python -m benchmarks.boards.sdplib $(FROM)/sdplib --vsdp $(FROM)/vsdp/SDPLIB_SYS1.csv
 	@$(BIN)/python -m benchmarks.boards.compleib $(FROM)/compleib
+	@$(BIN)/python -m benchmarks.boards.page
 
 .PHONY: lint
 lint: $(DEV) ## ruff: lint and format

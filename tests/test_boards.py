@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from benchmarks.boards import compleib, drivetrain, drivetrain_design, limited, modelica, sdplib
+from benchmarks.boards import compleib, drivetrain, drivetrain_design, limited, modelica, page, sdplib
 from pwatrack import load_spec, plant
 
 
@@ -129,3 +129,17 @@ def test_a_file_that_is_no_program_is_refused_with_its_name(tmp_path: Path) -> N
     path.write_text("2\n1\n2\n1\n1 1 1 1 1\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"bad\.dat-s: 2 variables and 1 blocks, but 1 and 1 are given"):
         sdplib.read(path)
+
+
+def test_the_page_has_each_table_under_its_command(tmp_path: Path) -> None:
+    for name in ("sdplib", "modelica"):
+        text = limited.table(f"Of {name}, some processor", ["program", "s"], [["a", "1"]])
+        (tmp_path / f"{name}.md").write_text(text, encoding="utf-8")
+    assert page.page(tmp_path).splitlines()[2:8] == [
+        "## Of sdplib, some processor",
+        "",
+        "    python -m benchmarks.boards.sdplib FOLDER-OR-FILES --vsdp SDPLIB_SYS1.csv",
+        "",
+        "| program | s |",
+        "|---------|---|",
+    ]
