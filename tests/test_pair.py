@@ -63,6 +63,15 @@ def test_a_regulator_of_a_hardly_damped_chain_is_found_however_much_the_input_co
         assert np.linalg.eigvalsh(X @ (A_i + B @ K) + (A_i + B @ K).T @ X).max() < 0
 
 
+@pytest.mark.parametrize(("scale_of_B", "scale_of_M"), [(0.0, 1.0), (1.0, 0.0), (1e-150, 1.0), (1e150, 1e-100)])
+def test_a_regulator_of_sizes_far_apart_is_found_or_none(scale_of_B: float, scale_of_M: float) -> None:
+    pair = Pair.of(scale_of_M * of_rank_one(3, 4))
+    assert pair is not None
+    with np.errstate(all="ignore"):
+        X = pair.regulator(scale_of_B * np.ones((4, 1)), np.eye(4), np.eye(1), np.eye(4))
+    assert X is None or np.linalg.eigvalsh(X)[0] > 0
+
+
 def test_what_is_no_pair_is_none() -> None:
     M = of_rank_one(1, 4)
     assert Pair.of(np.stack([M[0], M[1] + np.diag([0.1, 0.2, 0, 0])])) is None

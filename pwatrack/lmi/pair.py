@@ -27,6 +27,7 @@ _LIGHT = (1e-9, 1e-7, 1e-5)  # of |f|²: how strict the inequality is to be
 _ON_AXIS = 1e-13  # of the largest eigenvalue: the real part of one that may lie on the imaginary axis
 _SOLVED = 1e-6  # of ‖X‖ ‖A‖: what an equation may be off by
 _AROUND, _STEP = 8.0, 2.0  # decades of τ about its natural sizes, and how far apart it is looked at first
+_APART = 30.0  # decades that these may be apart
 _NEAR = 0.05  # decades, up to which the best τ is sought
 
 
@@ -100,9 +101,10 @@ class Pair:
             X = solved(log)
             return np.inf if X is None else float(np.log(np.einsum("kj,ji,ki->", starts, X, starts)))
 
-        one = max(float(self.g @ self.g), 1e-300)  # where g gᵀ / τ is as large as Q, and where it is as what u can do
-        sizes = one / np.linalg.norm(Q, 2), one * np.linalg.norm(act, 2) / np.linalg.norm(self.M, 2) ** 2
-        return solved(_least(cost, *np.log10([min(sizes), max(sizes)])) if self.f.any() else 0.0)
+        of_g, of_Q, of_u, of_M = np.log10([np.linalg.norm(X) for X in (self.g[None], Q, act, self.M)])
+        sizes = np.array([2 * of_g - of_Q, 2 * of_g + of_u - 2 * of_M])  # g gᵀ / τ is like Q, and like what u can do
+        alone = not self.f.any() or not np.isfinite(sizes).all()
+        return solved(0.0 if alone else _least(cost, max(sizes.min(), sizes.max() - _APART), sizes.max()))
 
     def _largest_rate(self) -> float:
         """Return about the largest rate that one P has for both."""
