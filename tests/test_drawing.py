@@ -177,6 +177,35 @@ simulation: {duration: 10, sample_time: 0.01}
     assert (y_d[0], y_d[-1]) == pytest.approx((0, 1), abs=1e-9)
 
 
+def test_a_long_title_and_a_brief_start_of_an_input_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nine states that decay in 1 s, and one that its input holds and that is off for 0.01 s of 60."""
+    poles = [-1.0] * 9 + [1.0]
+    (tmp_path / "many.yaml").write_text(
+        f"""
+name: ten states
+system:
+  states: [{", ".join(f"x{k}" for k in range(10))}]
+  inputs: [u]
+  outputs: [y]
+  sizes: {{x9: 1e-3, u: 1, y: 1e-3}}
+  A: {np.diag(poles).tolist()}
+  B: {[[0.0]] * 9 + [[1.0]]}
+  C: [{[0.0] * 9 + [1.0]}]
+design: {{tracking: state}}
+reference: {{state: {[0] * 10}}}
+simulation: {{duration: 60, sample_time: 0.005, initial: {{plant: {[1] * 9 + [0.1]}, observer: measured}}}}
+"""
+    )
+    drawn = pictures(simulate(load_spec(tmp_path / "many.yaml")))
+    error = drawn["tracking_error"]()
+    assert all(box.x0 >= 0 and box.x1 <= error.bbox.x1 for _, box in written(error, monkeypatch))
+    (said,) = [text for text, _ in written(error, monkeypatch) if "furthest off" in " ".join(text.split())]
+    assert max(map(len, said.splitlines())) <= 100 < len(said.splitlines()[-1]) + len(said.splitlines()[-2])
+    _, start, end = drawn["input"]().axes
+    assert start.get_xlim()[1] < 0.1
+    assert np.diff(end.get_xlim()) == pytest.approx(6)
+
+
 def test_each_nonlinearity_is_drawn_with_its_slopes_and_where_the_run_was(result: Result) -> None:
     figure = pictures(result)["nonlinearities"]()
     elements = result.spec.problem.plant.written

@@ -30,6 +30,7 @@ from pwatrack.workflow.result import SimulatedLoop
 _MOST = 12  # states in a picture
 _BESIDE = 4  # signals that have their start beside the whole: more panels take long to draw
 _INSETS = 6  # panels below each other that have room for insets
+_SPENT, _SEVERAL = 0.05, 4.0  # of the largest that is off: what has decayed; times until then, what is shown of a start
 _ENLARGED = 0.6  # of the time: a longer part at either end is not worth a panel of its own
 _SPIKE, _EARLY = 3.0, 0.02  # so many times the rest is a spike, in so much of the time at the start
 _STILL = 0.01  # of the size of a curve: a rest that moves less is not worth the scale
@@ -154,7 +155,8 @@ def _over_time(
     """
     t, end = result.response.t, _start(result)
     enlarged, count = ends and end < _ENLARGED * (t[-1] - t[0]), len(names)
-    whole, start, last = (t[0], t[-1]), (float(t[0]), end), (float(t[-1]) - end, float(t[-1]))
+    first = min(end, _brief(t, curves[0][0] - curves[1][0])) if ends else end
+    whole, start, last = (t[0], t[-1]), (float(t[0]), first), (float(t[-1]) - end, float(t[-1]))
     if enlarged and count == 1:
         figure, panels = canvas(result, title, [[0, 0], [1, 2]], height=5.2)
         spans, of = [whole, start, last], [0, 0, 0]
@@ -183,6 +185,13 @@ def _over_time(
         axes.set_title(text, fontsize=9)
     legend(panels[0], columns=3 if len(panels) == 2 * count else 5, others=panels[1:])
     return figure
+
+
+def _brief(t: Array, off: Array) -> float:
+    """Return how long what is off at first is worth a panel, in s: a few times as long as it is large."""
+    large = (np.abs(off) > _SPENT * np.abs(off).max(axis=0)).any(axis=1)
+    last = int(np.flatnonzero(large).max(initial=0))
+    return _SEVERAL * float(t[min(last + 1, len(t) - 1)] - t[0])
 
 
 def _start(result: SimulatedLoop) -> float:
