@@ -122,7 +122,7 @@ def shared(one: BboxBase, other: BboxBase) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spec", ["payload_in_wind", "three_tanks_pumps", "beam_one_sided_spring"])
+@pytest.mark.parametrize("spec", ["payload_in_wind", "three_tanks_pumps", "beam_one_sided_spring", "two_rooms"])
 def test_no_text_is_cut_or_on_another_and_no_inset_is_on_what_is_drawn(
     specs: Path, spec: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

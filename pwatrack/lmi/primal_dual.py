@@ -25,7 +25,7 @@ from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.linear_map import LinearMap
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
-_FAR = 10.0  # times the objective's coefficients: the multipliers at the start
+_FAR = 15.0  # times the objective's coefficients: the multipliers at the start
 _OFF = 1e-8  # what the linear conditions may be off at the end, relative to the data
 _ROUNDED = 1e-5  # the same for the multipliers, where rounding allows no less and the bound is hardly changed
 _EXACT = 1e-12  # likewise: what is off by less is as exact as rounding allows
@@ -39,7 +39,7 @@ _SHORTER = 0.8  # times the step, where a matrix is not definite after it
 _LEAST_STEP = 1e-7  # below which there is no way to go
 _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
-_SHARE = (0.9, 0.995)  # of the way to the boundary, where that is short and where it is a whole step
+_SHARE = (0.85, 0.995)  # of the way to the boundary, where that is short and where it is a whole step
 _NOTHING = 1e-3  # of the objective of the program before it in a sequence: what counts as 0
 _CHANGED = 0.1  # of the largest mean of S Z that an answer has in the next program: μ that this one begins with
 _IMPOSSIBLE = 1e-8  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all

@@ -153,10 +153,10 @@ def _over_time(
 
     Of a few the start is beside the whole.
     """
-    t, end = result.response.t, _start(result)
-    enlarged, count = ends and end < _ENLARGED * (t[-1] - t[0]), len(names)
+    t, end, count = result.response.t, _start(result), len(names)
     first = min(end, _brief(t, curves[0][0] - curves[1][0])) if ends else end
-    whole, start, last = (t[0], t[-1]), (float(t[0]), first), (float(t[-1]) - end, float(t[-1]))
+    enlarged, left = ends and first < _ENLARGED * (t[-1] - t[0]), (1 - _ENLARGED) * float(t[-1] - t[0])
+    whole, start, last = (t[0], t[-1]), (float(t[0]), first), (float(t[-1]) - min(end, left), float(t[-1]))
     if enlarged and count == 1:
         figure, panels = canvas(result, title, [[0, 0], [1, 2]], height=5.2)
         spans, of = [whole, start, last], [0, 0, 0]
@@ -242,6 +242,7 @@ def _zoom(
         inset.plot(t[late], curve[late], **style)
     inset.set_xlim(t[late][0], t[-1])
     inset.tick_params(labelsize=6)
+    inset.locator_params(axis="x", nbins=4)
     for axis in (inset.xaxis, inset.yaxis):
         axis.get_offset_text().set_fontsize(6)
     inset.set_title("without the start", fontsize=7, pad=2)
