@@ -269,6 +269,7 @@ class _Step:
         self.equations = linear.step(scalings)
         stacks = linear.blocks.stacks(rest.missing)
         self.exact = rest.missed <= _NONE * (1 + float(np.abs(linear.constant).max()))  # then A*(Z) is all that is lost
+        self.sums = [-(x.d[:, :, None] + x.d[:, None]) for x in scalings]
         self.lost = [scaling.into(X) for scaling, X in zip(scalings, stacks, strict=True)]
         away = [self.equations.solve(row) for row in linear.rows]
         self.away = np.array(away).reshape(linear.rows.shape)
@@ -281,12 +282,13 @@ class _Step:
         That term is first taken from the direction to μ = 0, and then from the direction that it led to, as long as
         steps grow longer by it.
         """
-        first = self.towards([_diagonal(-x.d) for x in self.scalings], self.rest.pull if self.exact else None)
+        nowhere = [-x.d[:, :, None] * np.eye(x.d.shape[1]) for x in self.scalings]
+        first = self.towards(nowhere, self.rest.pull if self.exact else None)
         primal, dual = (min(1.0, length) for length in self._lengths(first, roughly=True))
         after = 0.0
         for s, z, x in zip(first.s, first.z, self.scalings, strict=True):
-            D = _diagonal(x.d)
-            after += float(np.vdot(D + primal * s, D + dual * z))
+            ds, dz = (float(np.vdot(x.d, _diagonal(X))) for X in (s, z))
+            after += float(np.vdot(x.d, x.d)) + primal * ds + dual * dz + primal * dual * float(np.vdot(s, z))
         aim = max(min(1.0, max(0.0, after / self.linear.blocks.order / mu)) ** 3 * mu, least)
         best = self.towards(self._targets(first, aim))
         reach = self._lengths(best)
@@ -308,10 +310,12 @@ class _Step:
     def _targets(self, move: _Move, aim: float) -> list[Array]:
         """Return what both changes, scaled, are to add up to for S Z = aim · I, with the second order of a move."""
         targets = []
-        for s, z, x in zip(move.s, move.z, self.scalings, strict=True):
-            both, d = s @ z, x.d
-            target = -(both + both.transpose(0, 2, 1)) / (d[:, :, None] + d[:, None])
-            targets.append(target + _diagonal(aim / d - d))
+        for s, z, x, sums in zip(move.s, move.z, self.scalings, self.sums, strict=True):
+            both = s @ z
+            target = both + both.transpose(0, 2, 1)
+            target /= sums
+            _diagonal(target)[:] += aim / x.d - x.d
+            targets.append(target)
         return targets
 
     def towards(self, targets: Sequence[Array], pull: Array | None = None) -> _Move:
@@ -372,5 +376,6 @@ class _Step:
         return None
 
 
-def _diagonal(d: Array) -> Array:
-    return np.asarray(d[:, :, None] * np.eye(d.shape[1]))
+def _diagonal(X: Array) -> Array:
+    """Return a view of the diagonals of a stack."""
+    return np.asarray(np.einsum("ijj->ij", X))
