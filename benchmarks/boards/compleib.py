@@ -136,7 +136,7 @@ def as_sampled(given: dict[str, Any], folder: Path, seconds: float, gibibytes: f
     ended = run(pwatrack("design", str(spec), "--out", str(out)), seconds=seconds, gibibytes=gibibytes)
     folder.with_name(f"{folder.name}.sampled.txt").write_text(ended.text, encoding="utf-8")
     told = json.loads((out / "run.json").read_text(encoding="utf-8")) if ended.code == 0 else {}
-    said = verdict(ended) if not told or "rate" in told.get("sampled", {}) else "the ideal loop only"
+    said = verdict(ended) if not told or told["sampled"]["rate"] is not None else "undecided"
     return [f"{time:g}", said, f"{ended.seconds:.1f}"], ended.mebibytes
 
 
