@@ -28,6 +28,7 @@ from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.sampled_disturbances import Acting, row
 from pwatrack.errors import PwatrackError
 from pwatrack.model.conditions import Method, Sampling
+from pwatrack.model.pwa import PWASystem
 from pwatrack.workflow.pipeline import asked_of, design, simulate
 from pwatrack.workflow.result import SimulatedLoop
 from tests.sampled import worst_found
@@ -38,10 +39,9 @@ _MOST = 20_000  # samples of a run
 _SWITCHINGS = 100  # that are tried against each bound
 
 
-def sample_time(controller: ProvedController) -> float:
+def sample_time(plant: PWASystem, K: Array) -> float:
     """Return the sample time that is taken, in s."""
-    plant = controller.plant
-    fastest = max(float(np.abs(np.linalg.eigvals(A + plant.B @ controller.K)).max()) for A in plant.A)
+    fastest = max(float(np.abs(np.linalg.eigvals(A + plant.B @ K)).max()) for A in plant.A)
     return float(f"{2 * np.pi / (_SAMPLES * fastest):.1g}")
 
 
@@ -104,7 +104,7 @@ def main(paths: list[Path]) -> None:
         except PwatrackError as error:
             console.print(f"{path.stem:28} {str(error)[:100]}")
             continue
-        h = sample_time(controller)
+        h = sample_time(controller.plant, controller.K)
         start = time.perf_counter()
         asked = asked_of(sampled(spec, Sampling(sample_time=h)), None, controller)
         (claim,) = SampledLoop.prove(controller, asked)

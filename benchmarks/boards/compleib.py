@@ -15,8 +15,8 @@ The element is a stiffening dead zone on the state that the first output shows m
 All states are to be held at 0: state tracking with x_d = 0, K and L as they come from the default of `design`. The run
 lasts 10 s, from x_j(0) = 3, all others 0, the observer at 0, so that it begins outside of the zone.
 
-What is proved so, and has 12 states at most, is designed once more for a controller that is sampled: every 25th of the
-period of the fastest mode of A_i + B K, K that of the first design, to one digit.
+What is proved so, and has 12 states at most, is designed once more for a controller that is sampled, as often as
+`benchmarks.sampled_loop` says for the K of the first design.
 """
 
 import argparse
@@ -29,9 +29,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.boards.limited import Ended, machine, pwatrack, run, table
+from benchmarks.sampled_loop import sample_time
+from pwatrack import plant as plant_of
 from pwatrack.arrays import Array
 
-SAMPLES_OF_FASTEST, MOST_SAMPLED = 25, 12  # in a period of the fastest mode; states
+MOST_SAMPLED = 12  # states
 SHARE = 0.5  # by which the state acts more beyond the zone
 START, DURATION, SAMPLES = 3.0, 10.0, 1000
 STEPS = "check", "design", "simulate"
@@ -101,17 +103,6 @@ def sections(name: str, A: Array, B: Array, C: Array) -> dict[str, Any]:
     }
 
 
-def sample_time(given: dict[str, Any], gains: Path) -> float:
-    """Return the sample time by the rule, in s, for the gains of a design."""
-    system, K = given["system"], np.array(json.loads(gains.read_text(encoding="utf-8"))["K"])
-    A, B, (zone,) = np.array(system["A"]), np.array(system["B"]), system["nonlinearities"]
-    outside = A.copy()
-    for state, by in zone["into"].items():
-        outside[system["states"].index(state), system["states"].index(zone["of"])] += by
-    fastest = max(float(np.abs(np.linalg.eigvals(cell + B @ K)).max()) for cell in (A, outside))
-    return float(f"{2 * np.pi / (SAMPLES_OF_FASTEST * fastest):.1g}")
-
-
 def verdict(ended: Ended) -> str:
     """Return in a word how a step ended."""
     if ended.stopped:
@@ -127,9 +118,23 @@ def files(given: list[Path]) -> list[Path]:
     return [path for part in found for path in part]
 
 
+def worked(spec: Path, folder: Path, seconds: float, gibibytes: float) -> dict[str, Ended]:
+    """Check, design and simulate a spec, up to the first that fails, and return how each ended."""
+    ends = dict[str, Ended]()
+    for step in STEPS:
+        more = [] if step == "check" else ["--out", str(folder)]
+        plots = ["--plots", "none"] if step == "simulate" else []
+        ends[step] = run(pwatrack(step, str(spec), *more, *plots), seconds=seconds, gibibytes=gibibytes)
+        folder.with_name(f"{folder.name}.{step}.txt").write_text(ends[step].text, encoding="utf-8")
+        if ends[step].code != 0:
+            break
+    return ends
+
+
 def as_sampled(given: dict[str, Any], folder: Path, seconds: float, gibibytes: float) -> tuple[list[str], float]:
     """Return the sample time, whether the loop is proved with it, the seconds of its design, and its MiB."""
-    time = sample_time(given, folder / "gains.json")
+    gains = json.loads((folder / "gains.json").read_text(encoding="utf-8"))
+    time = sample_time(plant_of(**given["system"]).system, np.array(gains["K"]))
     spec, out = folder.with_name(f"{folder.name}.sampled.yaml"), folder.with_name(f"{folder.name}.sampled")
     simulation = given["simulation"] | {"controller": {"sample_time": time}}
     spec.write_text(json.dumps(given | {"simulation": simulation}), encoding="utf-8")
@@ -146,18 +151,11 @@ def rows(paths: list[Path], out: Path, seconds: float, gibibytes: float) -> Iter
         A, B, C = matrices(path)
         spec, folder, given = out / f"{path.stem}.yaml", out / path.stem, sections(path.stem, A, B, C)
         spec.write_text(json.dumps(given), encoding="utf-8")
-        ends, said = dict[str, Ended](), ""
-        for step in STEPS:
-            more = [] if step == "check" else ["--out", str(folder)]
-            plots = ["--plots", "none"] if step == "simulate" else []
-            ends[step] = run(pwatrack(step, str(spec), *more, *plots), seconds=seconds, gibibytes=gibibytes)
-            (out / f"{path.stem}.{step}.txt").write_text(ends[step].text, encoding="utf-8")
-            if ends[step].code != 0:
-                said = next((line for line in ends[step].text.splitlines() if "error:" in line), "")[:150]
-                break
+        ends = worked(spec, folder, seconds, gibibytes)
+        last = ends[next(reversed(ends))]
+        said = "" if last.code == 0 else next((line for line in last.text.splitlines() if "error:" in line), "")[:150]
         times = [f"{ends[step].seconds:.1f}" if step in ends else "–" for step in STEPS]
         most = max(end.mebibytes for end in ends.values())
-        last = ends[next(reversed(ends))]
         where = "" if last.code == 0 else f" ({next(reversed(ends))})"
         again = last.code == 0 and len(A) <= MOST_SAMPLED
         sampled, held = as_sampled(given, folder, seconds, gibibytes) if again else (["–"] * 3, 0.0)

@@ -17,12 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.boards.compleib import verdict
-from benchmarks.boards.drivetrain import ALPHA, LAG, SHAFT, chain, system
-from benchmarks.boards.limited import Ended, machine, pwatrack, run, table
+from benchmarks.boards.compleib import STEPS, verdict, worked
+from benchmarks.boards.drivetrain import LAG, chain, system
+from benchmarks.boards.limited import machine, table
 
 SPEED, DURATION, SAMPLE = 360.0, 3000.0, 0.5  # rad/s and s: the chain swings for long, its slowest mode for 200 s
-STEPS = "check", "design", "simulate"
 
 
 def sections(masses: int) -> dict[str, Any]:
@@ -53,11 +52,8 @@ def sections(masses: int) -> dict[str, Any]:
             "outputs": ["w", "gap"],
             "track": ["w"],
             "A": A[np.ix_(kept, kept)].tolist(),
-            "nonlinearities": [
-                {"name": "backlash", "kind": "dead_zone", "of": "twist", "into": into}
-                | {"lower": -ALPHA, "upper": ALPHA, "slope": SHAFT}
-            ],
-            "B": np.eye(n)[:, [1]].dot(1 / LAG).tolist(),
+            "nonlinearities": [gap | {"of": "twist", "into": into}],
+            "B": (np.eye(n)[:, [1]] / LAG).tolist(),
             "C": [np.eye(n)[2].tolist(), np.eye(n)[0].tolist()],
         },
         "design": {"tracking": "state"},
@@ -69,14 +65,9 @@ def sections(masses: int) -> dict[str, Any]:
 def rows(masses: list[int], out: Path, seconds: float, gibibytes: float) -> Iterator[list[str]]:
     """Yield a row of the table for each number of masses between."""
     for count in masses:
-        spec, folder, ends = out / f"{count}.yaml", out / str(count), dict[str, Ended]()
+        spec, folder = out / f"{count}.yaml", out / str(count)
         spec.write_text(json.dumps(sections(count)), encoding="utf-8")
-        for step in STEPS:
-            more = {"check": [], "design": ["--out", str(folder)]}.get(step, ["--out", str(folder), "--plots", "none"])
-            ends[step] = run(pwatrack(step, str(spec), *more), seconds=seconds, gibibytes=gibibytes)
-            (out / f"{count}.{step}.txt").write_text(ends[step].text, encoding="utf-8")
-            if ends[step].code != 0:
-                break
+        ends = worked(spec, folder, seconds, gibibytes)
         last, kept = ends[next(reversed(ends))], folder / "run.json"
         told = json.loads(kept.read_text(encoding="utf-8")) if last.code == 0 else {}
         figures, ended = told.get("figures", {}), told.get("simulation", {}).get("outcome", "–")

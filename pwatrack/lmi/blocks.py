@@ -106,9 +106,11 @@ def step_length(change: Sequence[Array], scalings: Sequence[Scaling], *, roughly
     ratio = _ROUGHLY if roughly else _NEXT
     short = 0 if -_FURTHER * least <= 1 else ceil(log(-_FURTHER * least) / -log(ratio))
 
+    def length(k: int) -> float:
+        return float(_FURTHER * ratio**k)
+
     def stays(k: int) -> bool:
-        length = _FURTHER * ratio**k
-        return all(_positive(length * X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
+        return all(_positive(length(k) * X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
 
     long, by = short - 1, 1
     while short < _NOWHERE and not stays(short):
@@ -116,7 +118,7 @@ def step_length(change: Sequence[Array], scalings: Sequence[Scaling], *, roughly
     while short - long > 1:
         middle = (long + short) // 2
         long, short = (long, middle) if stays(middle) else (middle, short)
-    return float(_FURTHER * ratio**short) if short < _NOWHERE else 0.0
+    return length(short) if short < _NOWHERE else 0.0
 
 
 def _positive(X: Array, d: Array) -> bool:

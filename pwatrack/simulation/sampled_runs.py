@@ -53,7 +53,7 @@ def check_sample_time(controller: ProvedController, conditions: Conditions) -> N
     message, maps, longest = found
     offer = dying_out(maps, longest)
     if offer is None:
-        message += f"; shorter times were tried down to {longest * _NEXT ** (_TRIES - 1):.2g} s, and with none do all "
+        message += f"; shorter times were tried down to {_tried(longest)[-1]:g} s, and with none do all "
         message += "simulated runs from other starts die out"
         remedy = Remedy(Way.SLOWER_GAINS)
     else:
@@ -68,14 +68,18 @@ def dying_out(maps: SampleMaps, longest: float) -> tuple[float, int] | None:
 
     They do at a time that is a quarter longer, too. Up to `longest` (s) it is stable in each cell by itself.
     """
-    before, time = False, longest
-    for _ in range(_TRIES):
-        rounded = float(f"{time:.2g}")
-        count = _all_die_out(maps, rounded)
+    before = False
+    for time in _tried(longest):
+        count = _all_die_out(maps, time)
         if before and count:
-            return rounded, count
-        before, time = bool(count), time * _NEXT
+            return time, count
+        before = bool(count)
     return None
+
+
+def _tried(longest: float) -> list[float]:
+    """Return the sample times that are tried, in s, the longest first."""
+    return [float(f"{longest * _NEXT**k:.2g}") for k in range(_TRIES)]
 
 
 def _all_die_out(maps: SampleMaps, h: float) -> int:
