@@ -157,6 +157,18 @@ def test_both_methods_find_the_same_margin(order: int, monkeypatch: pytest.Monke
     assert margins[0] == pytest.approx(margins[1], rel=0.03)
 
 
+def test_a_slow_mode_beside_fast_ones_is_proved() -> None:
+    """Ticks are 3e-6 of its time constant apart: a margin counts in what a form loses in one of them."""
+    n = 8
+    A = -np.diag(np.append(6e-4, np.linspace(0.5, 40, n - 1)))
+    A[0, 1:], A[1:, 0] = 0.1, 1e-5
+    system = Clocked(F=[BallMatrix.of(A)], J=[BallMatrix.of(np.eye(n))], period=Fraction("0.005"))
+    found = fastest(system, knots=1)
+    assert found is not None
+    assert holds(system, found)
+    assert 0.2 * 6e-4 < found.rate <= 6e-4
+
+
 def test_the_form_of_the_terms_gives_the_matrix_of_a_step() -> None:
     """Against the same from the left-hand sides of all unit vectors."""
     random, n = np.random.default_rng(0), 3

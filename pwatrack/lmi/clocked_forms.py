@@ -261,9 +261,11 @@ class MarginProgram:
         return None if found is None or not found[1] > 0 or not np.isfinite(found[0]).all() else found
 
     def _by_form(self) -> tuple[Array, float] | None:
-        chain = ChainMap(self.bounds, self.count)
+        """Ask our own method, with a T whose largest entry is 1: else multipliers are as large as a T is small."""
+        unit = max(float(np.abs(bound.T).max()) for bound in self.bounds)
+        chain = ChainMap([replace(bound, T=bound.T / unit) for bound in self.bounds], self.count)
         v = least(chain, gap=_GAP)
-        return None if v is None else (chain.matrices(v), float(v[-1]))
+        return None if v is None else (chain.matrices(v), float(v[-1]) / unit)
 
     def _by_cones(self) -> tuple[Array, float] | None:
         """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
