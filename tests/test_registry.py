@@ -22,7 +22,15 @@ from pwatrack.report.certificate import design_certificate
 PLANTS = {
     "two_mass_backlash": {"Decay", "SignalBounds"},
     "two_mass_goals": {"Decay", "Costs", "SignalBounds"},
-    "two_mass_machine": {"Decay", "SampledLoop", "SampledBounds", "NoSaturation", "LimitedRegion", "SignalBounds"},
+    "two_mass_machine": {
+        "Decay",
+        "SampledLoop",
+        "SampledBounds",
+        "NoSaturation",
+        "LimitedRegion",
+        "SampledRegion",
+        "SignalBounds",
+    },
     "gallery/robust_positioning": {"Decay", "SignalBounds", "Robust"},
     "gallery/gear_with_backlash": {"Practical", "Decay", "Costs", "SignalBounds"},
     "gallery/cart_and_pole_swaying": {"Decay", "SignalBounds", "StableInversion"},

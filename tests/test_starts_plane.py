@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.errors import ExitCode, InvalidSpec
+from pwatrack.lmi.ellipsoid import StartEllipsoid
 from pwatrack.report.plots.signals import control_input
 from pwatrack.report.plots.spread import starts_in_plane
 from pwatrack.workflow.variation import EnsembleResult, sections
@@ -91,6 +92,7 @@ def test_a_section_is_where_the_ellipsoid_meets_the_plane(angle: float, result: 
         C = one.section(left, [1, 0])
         if C is None or one.held is None:
             continue
+        assert isinstance(one.held, StartEllipsoid)
         v, z = C @ [np.cos(angle), np.sin(angle)]
         start = np.zeros(len(one.held.exponents))
         start[:2] = z, v

@@ -28,8 +28,8 @@ from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
+from pwatrack.lmi.clocked_region import ClockedRegion
 from pwatrack.lmi.ellipsoid import StartEllipsoid, held
-from pwatrack.rational import floats
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
@@ -45,14 +45,16 @@ class StartGuarantee:
         held: The ellipsoid; None where none of them is moved.
         loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
         forms: What it is about where it is not about inputs.
+        before: Starts as its loop has them, where that is of more than (e, Δ, σ); else None.
     """
 
     starts: Starts
     loop: Loop
     inputs: tuple[int, ...]
-    held: StartEllipsoid | None
+    held: StartEllipsoid | ClockedRegion | None
     loads: tuple[float, ...]
     forms: tuple[Form, ...] = ()
+    before: Array | None = None
 
     def scale(self, left: Array) -> float:
         """Return how many times as large a start may be, so that each |u − u_ff| ≤ left, (m,); rounded down."""
@@ -77,8 +79,7 @@ class StartGuarantee:
         scale = self.scale(left)
         if self.held is None or not 0 < scale < np.inf:
             return None
-        inverse = np.linalg.inv(floats(self.held.P))[np.ix_(plane, plane)]
-        return np.asarray(scale * np.linalg.cholesky(np.linalg.inv(inverse)))
+        return np.asarray(scale * np.linalg.cholesky(np.linalg.inv(self.held.form[np.ix_(plane, plane)])))
 
     def said(self, left: Array, *, loads: bool) -> str:
         """Say from which starts it is that each |u − u_ff| ≤ left, (m,), of a plant with or without loads."""
@@ -113,14 +114,19 @@ class StartGuarantee:
     @property
     def data(self) -> dict[str, Any]:
         """What a certificate holds of it, where it is of an ellipsoid."""
+        assert isinstance(self.held, StartEllipsoid)
+        return self.about | {"Q": packed(self.held.integers, self.held.exponents)}
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The same without its form."""
         assert self.held is not None
         kind: Literal["drive", "input"] = "input" if self.starts.load is None else "drive"
         return {
             "of": self.starts.kind,
             "loop": self.loop,
-            "starts": decimal_texts(self.starts.G),
+            "starts": decimal_texts(self.starts.G if self.before is None else self.before),
             "weights": [decimal(w) for w in self.held.weights],
-            "Q": packed(self.held.integers, self.held.exponents),
             "signals": signals(
                 (self.forms[k] if self.forms else (kind, k), size)
                 for k, size in zip(self.inputs, self.held.sizes, strict=True)

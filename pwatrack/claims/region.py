@@ -5,7 +5,7 @@ the input as it is limited, so Δ is untouched. From every start it is enough th
 with H = 0: by (9) Δ goes to 0 exponentially, and e is driven by it linearly.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -73,7 +73,7 @@ class LimitedRegion(Claim):
         if room is None:
             return
         missing, found = _beyond(controller, room), list[StartGuarantee]()
-        starts = () if missing else (_every(controller), *(nearby(one, entries) for one in room.starts))
+        starts = () if missing else (every(controller), *(nearby(one, entries) for one in room.starts))
         for one in starts:
             if (entry := entries.get(one.kind)) is not None:
                 held = Region(H=np.asarray(doubles(entry["H"])), **read_ellipsoid(entry))
@@ -102,7 +102,7 @@ class LimitedRegion(Claim):
         goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
         for one in self.found:
             if one.starts.kind == "every":
-                starts = f"every start{self._with_loads(words, controller, one)}"
+                starts = f"every start{with_loads(self.room, words, controller, one)}"
             else:
                 starts = one.said(left, loads=controller.plant.loads is not None)
             starts += self.room.whatever_said(one.starts)
@@ -121,22 +121,36 @@ class LimitedRegion(Claim):
 
     def from_this_start(self, controller: ProvedController) -> bool:
         """Whether it is proved of the start of the run."""
-        free, left = controller.plant.loads is None, self.room.spare
-        return any(one.of_this_run(left) or (free and one.starts.kind == "every") for one in self.found)
+        return from_this_start(self.room, controller, self.found)
 
-    def _with_loads(self, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
-        """Say with which loads."""
-        if controller.plant.loads is None:
-            return ""
-        if one.starts.delta is None:
-            return " with x̂ = x, while no load acts"
-        at = {k for k in controller.plant.loads.inputs(controller.plant.exact.B) or () if k in one.inputs}
-        named = []
-        for k in sorted(at):
-            name, (low, high) = words.plant.inputs[k], np.abs(self.room.bearable[k]).tolist()
-            ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
-            named.append(f"{name} from {ends}")
-        return f" and all constant loads at {' and at '.join(named)}" if named else ""
+
+def from_this_start(room: Headroom, controller: ProvedController, found: Iterable[StartGuarantee]) -> bool:
+    """Say whether some guarantee is of the start of the run, with the loads that act in it."""
+    left, loads = room.spare, controller.plant.loads
+    run = next((starts for starts in room.starts if starts.kind == "run"), None)
+    bears = loads is None
+    if loads is not None and left is not None and run is not None and run.load is not None:
+        at, acting = np.array(loads.inputs(controller.plant.exact.B) or ()), -run.load.sum(axis=1)
+        each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
+        bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
+    every = (one for one in found if one.starts.kind == "every")
+    whole = any(loads is None or one.starts.delta is not None for one in every)
+    return (bears and whole) or any(one.of_this_run(left) for one in found)
+
+
+def with_loads(room: Headroom, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
+    """Say with which loads a guarantee of every start is."""
+    if controller.plant.loads is None:
+        return ""
+    if one.starts.delta is None:
+        return " with x̂ = x, while no load acts"
+    at = {k for k in controller.plant.loads.inputs(controller.plant.exact.B) or () if k in one.inputs}
+    named = []
+    for k in sorted(at):
+        name, (low, high) = words.plant.inputs[k], np.abs(room.bearable[k]).tolist()
+        ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
+        named.append(f"{name} from {ends}")
+    return f" and all constant loads at {' and at '.join(named)}" if named else ""
 
 
 def _smaller(controller: ProvedController, cheaper: Array) -> float:
@@ -164,7 +178,7 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
     loop = _saturated(loops, "controller", inputs)
     held = loop.everywhere() if loop.work <= MOST_WORK else None
     if held is not None:
-        return (_of(loops, _every(controller), room, held),)
+        return (_of(loops, every(controller), room, held),)
     found, acts = list[StartGuarantee](), taken_off(controller.compensation, loops.at_inputs)
     for one in room.starts:
         name: Loop = "controller" if one.delta is None else "joint"
@@ -199,7 +213,7 @@ def _of(loops: Loops, starts: Starts, room: Headroom, held: Region) -> StartGuar
     return StartGuarantee(starts=starts, loop=loop, inputs=inputs, held=held, loads=loads)
 
 
-def _every(controller: ProvedController) -> Starts:
+def every(controller: ProvedController) -> Starts:
     """Return all starts, of Δ too where estimates of loads do not move x_d."""
     n, N = len(controller.plant.B), len(controller.L)
     free = n == N or taken_off(controller.compensation, loops_of(controller).at_inputs)

@@ -14,6 +14,7 @@ from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.claims.set_points import SetPoints
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
@@ -28,6 +29,7 @@ CLAIMS: tuple[type[Claim], ...] = (
     SetPoints,
     NoSaturation,
     LimitedRegion,
+    SampledRegion,
     SignalBounds,
     Robust,
     StableInversion,

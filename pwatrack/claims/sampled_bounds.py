@@ -131,6 +131,27 @@ class SampledBounds(Claim):
         """The same where a prediction may cross planes at any time: to be added to what the start leaves."""
         return self._total(self._levels(np.ones(len(self.acts.near), dtype=bool)))
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing acts in the run."""
+        return not self.acts.squares and not any(each.any() for each in self.acts.beside.values())
+
+    @property
+    def noise(self) -> Array:
+        """How much is measured off at most at any tick, (q,)."""
+        each = (self.acts.squares.get(("noise", k), np.zeros(1)) for k in range(len(self.errors.plant.C)))
+        return np.array([float(np.sqrt(one.max())) for one in each])
+
+    def taken(self, inputs: Sequence[int], rows: Array) -> Array:
+        """Return how far off u_ff all that acts takes some inputs at most, from error 0 on, for any switching.
+
+        It is for the loop without limits; `rows` read them off z, less estimates of loads.
+        """
+        levels = self._levels(np.ones(len(self.acts.near)))
+        most = self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0)
+        beside = [self.acts.beside.get(("input", k), np.zeros(1)).max() for k in inputs]
+        return np.asarray((most + beside) * OVER_SUMS)
+
     def _levels(self, where: Array) -> dict[Channel, list[Array]]:
         """Return V^½ of each tube in each substep, where predictions cross planes in some substeps at most."""
         found, gains = dict[Channel, list[Array]](), self.errors.gains
@@ -166,7 +187,7 @@ class SampledBounds(Claim):
         named = self._named(words, controller)
         acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
         ends = ", ".join(words.limits(_shown(self.ends_below(controller))))
-        if not acts and not any(each.any() for each in self.acts.beside.values()):
+        if self.idle:
             yield "in this run", "nothing acts on the sampled loop: its errors go to 0, but for rounding"
         elif ends:
             always = words.limits(_shown({form: float(each.max()) for form, each in self.from_zero.items()}))

@@ -199,6 +199,14 @@ class Headroom:
         peak = self._taken
         return None if peak is None or peak.beyond(self.limits) else peak.left(self.limits)
 
+    def beside(self, more: Mapping[int, float], *, ever: bool) -> "Headroom":
+        """Return it where something else takes so much more of inputs in this run, whatever its sign, or ever."""
+        if self.peak is None:
+            return self
+        added = np.array([more.get(k, 0.0) for k in range(len(self.limits))])
+        peak = replace(self.peak, low=self.peak.low - added, high=self.peak.high + added)
+        return replace(self, peak=peak, lasting=None, ever=self.ever and ever, set_points=None)
+
     @property
     def whatever(self) -> bool:
         """Whether what is left is left whatever the set-points are."""

@@ -36,16 +36,17 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Bound:
-    """Σ_k (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T ⪯ 0."""
+    """Σ_k (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T + C ⪯ 0."""
 
     terms: Mapping[int, Term]
     T: Array
+    C: Array | None = None
 
 
 class ChainMap(LinearMap):
     """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, then t.
 
-    Asked for is the largest t where tr P_0 = n; or, with a weight, the least tr W Σ P_k where t = 1.
+    Asked for is the largest t, where tr P_0 = n unless there is a C; or, with a weight, the least tr W Σ P_k, t = 1.
     """
 
     def __init__(self, bounds: Sequence[Bound], count: int, weight: Array | None = None) -> None:
@@ -53,11 +54,13 @@ class ChainMap(LinearMap):
         self.P, self.count, self.T = Triangle(n), count, np.array([bound.T for bound in bounds])
         self.size = self.main = count * self.P.size + 1
         self.blocks = Blocks([(len(bounds), n)])
-        self.constant = np.zeros(self.blocks.size)
+        self.constant = np.array([np.zeros((n, n)) if bound.C is None else bound.C for bound in bounds]).ravel()
         self.rows = np.zeros((1, self.size))
         if weight is None:
             self.cost, self.values = np.append(np.zeros(self.size - 1), -1.0), np.array([float(n)])
             self.rows[0, : self.P.size] = self.P.row(np.eye(n))
+            if self.constant.any():
+                self.rows, self.values = self.rows[:0], self.values[:0]
         else:
             self.cost, self.values = np.append(np.tile(self.P.row(weight), count), 0.0), np.ones(1)
             self.rows[0, -1] = 1.0

@@ -37,7 +37,7 @@ from pwatrack.lmi.inequality import lyapunov, weighted
 from pwatrack.lmi.norm import root_above, square_above
 from pwatrack.lmi.program import SemidefiniteProgram, least_sizes, of_P
 from pwatrack.lmi.solve import solve
-from pwatrack.rational import is_positive_definite, scalar
+from pwatrack.rational import floats, is_positive_definite, scalar
 
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
 _CLOSE = 0.2  # what it may change by from one try to the last: a hundredth of the cost
@@ -263,6 +263,11 @@ class StartEllipsoid(Packed):
     weights: tuple[float, ...]  # w_k, short decimals; one for each column of G
     sizes: tuple[float, ...]  # one for each c, rounded up
 
+    @property
+    def form(self) -> Array:
+        """Q⁻¹."""
+        return np.asarray(np.linalg.inv(floats(self.P)))
+
 
 def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:
     """Return an ellipsoid around starts, if one is proved, in which the largest |c z| / most is as small as can be.
@@ -302,13 +307,18 @@ def around_starts(
     M: Sequence[BallMatrix], G: Array, forms: BallMatrix, weights: Array, trials: Iterable[Array]
 ) -> dict[str, Any] | None:
     """Return what `enclosure` does around starts, with weights of the columns of G that are not 0 made short."""
+    few, decimal = short_weights(G, weights), BallMatrix.of(G, G.shape)
+    proved = enclosure(M, forms, trials, around=(decimal, [1 / Fraction(repr(w)) for w in few]))
+    return None if proved is None else {"weights": few, **proved}
+
+
+def short_weights(G: Array, weights: Array) -> tuple[float, ...]:
+    """Return short weights of all columns of G, of sum 1 at most, from those of the columns that are not 0."""
     acts = G.any(axis=0)
     all_weights = np.full(G.shape[1], _LEAST_WEIGHT / G.shape[1])
     all_weights[acts] = np.maximum(weights, _LEAST_WEIGHT * weights.max())
     rounded = np.floor(all_weights / all_weights.sum() * 1e7 - 1)
-    short, decimal = tuple((np.maximum(rounded, 1.0) / 1e7).tolist()), BallMatrix.of(G, G.shape)
-    proved = enclosure(M, forms, trials, around=(decimal, [1 / Fraction(repr(w)) for w in short]))
-    return None if proved is None else {"weights": short, **proved}
+    return tuple((np.maximum(rounded, 1.0) / 1e7).tolist())
 
 
 def _enlarged(Q: Array, far: Array) -> Iterator[Array]:

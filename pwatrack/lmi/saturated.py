@@ -93,8 +93,8 @@ class SaturatedLoop:
         near = self.inners[-1].near(M) if self.inners else None
         if near is None or not np.linalg.eigvals(M).real.max() < 0:
             return None
-        V, inside = near
-        found = solve(largest_margin(lyapunov(inside / max(float(np.abs(inside).max()), 1e-300))))
+        V, within = near
+        found = solve(largest_margin(lyapunov(within / max(float(np.abs(within).max()), 1e-300))))
         if found is None or not found.t > 0:
             return None
         proved = enclosure(vertices, nothing, [V @ found.P @ V.T])
@@ -115,16 +115,7 @@ class SaturatedLoop:
             >>> bool(1.98 < 1 / found.sizes[0] < 2)
             True
         """
-        acts = np.flatnonzero(G.any(axis=0))
-        asked = self.inners and len(acts) and room.any()
-        near = self.inners[-1].near(np.array([X.floats for X in self.M])) if asked else None
-        if near is None:
-            return None
-        for decay in _DECAYS:
-            found = self._asked(near, G[:, acts], room, decay)
-            if found is None:
-                continue
-            Q, H, weights = found
+        for Q, H, weights in self.sought(G, room):
             exactly = BallMatrix.of(H, H.shape)
             trials = (Q * (1 + more) for more in _ROOM)
             proved = around_starts(self.vertices(exactly), G, exactly, weights, trials)
@@ -132,14 +123,30 @@ class SaturatedLoop:
                 return Region(H=H, **proved)
         return None
 
+    def sought(self, G: Array, room: Array, rates: Sequence[float] = ()) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield Q, H and the weights of the columns of G that are not 0, in floating point.
+
+        V falls at these rates at least, in 1/s; where none are given, at shares of the speed of the loop.
+        """
+        acts = np.flatnonzero(G.any(axis=0))
+        asked = self.inners and len(acts) and room.any()
+        near = self.inners[-1].near(np.array([X.floats for X in self.M])) if asked else None
+        if near is None:
+            return
+        speed = max(float(np.abs(near[1]).max()), 1e-300)
+        for decay in [2 * rate / speed for rate in rates] or _DECAYS:
+            found = self._asked(near, G[:, acts], room, decay)
+            if found is not None:
+                yield found
+
     def _asked(
         self, near: tuple[Array, Array], G: Array, room: Array, decay: float
     ) -> tuple[Array, Array, Array] | None:
         """Return Q, H and the weights of the starts, in floating point."""
-        V, inside = near
+        V, within = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
         units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
-        seen = _Scaled.of(inside, B * units, D / units[:, None], decay)
+        seen = _Scaled.of(within, B * units, D / units[:, None], decay)
         G = solve_triangular(V, G, lower=True)
         size = float(np.linalg.norm(G, 2))
         found = seen.largest(G / size, room / units / float((room / units).max()))
@@ -147,7 +154,7 @@ class SaturatedLoop:
             return None
         Q, Z, weights = found
         H = np.linalg.solve(V.T, np.linalg.solve(Q, Z.T)).T * units[:, None]
-        return size**2 * V @ Q @ V.T, _short(H), weights
+        return size**2 * V @ Q @ V.T, short(H), weights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,9 +187,9 @@ class _Scaled:
         def blocks(x: Unknowns) -> Iterator[Array]:
             x = {**x, "Z": x["Z"] * mask[:, None]}
             yield from self.falls(x)
-            yield from _inside(x, {"w": G})
+            yield from inside(x, {"w": G})
             for j in np.flatnonzero(room > 0).tolist():
-                yield _bounded(x["Q"], x["Z"][:, j : j + 1] / room[j], x["t"])
+                yield bounded(x["Q"], x["Z"][:, j : j + 1] / room[j], x["t"])
 
         found = minimised("t", {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
         if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
@@ -243,7 +250,7 @@ class LimitedGain:
     def _common(self, x: Unknowns, most: Array) -> Iterator[Array]:
         """Yield what holds with all starts inside, |H_j z|² ≤ most · room_j² there."""
         Q, limited = x["Q"], np.flatnonzero(np.isfinite(self.room))
-        yield from _inside(x, {f"w{k}": G for k, G in enumerate(self.starts)})
+        yield from inside(x, {f"w{k}": G for k, G in enumerate(self.starts)})
         kept = x["Z"] * (self.room > 0)[:, None] if self.over > 1 else x["Y"]
         for A_p in self.A:
             yield -symmetric_part((A_p + self.shift) @ Q + self.B @ x["Y"])
@@ -254,10 +261,10 @@ class LimitedGain:
         for j in limited[self.room[limited] > 0].tolist():
             rows = [kept[:, j : j + 1] / self.room[j], x["Y"][:, j : j + 1] / (self.over * self.room[j])]
             for row in rows if 1 < self.over < np.inf else rows[:1]:
-                yield _bounded(Q, row, most)
+                yield bounded(Q, row, most)
 
 
-def _inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
+def inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
     """Yield what bounds Q, and what has starts G ζ, |ζ_k| ≤ 1, in its ellipsoid, each G with weights of this name."""
     Q, one = x["Q"], x["1"][:, None, None]
     eye = np.eye(Q.shape[1])
@@ -269,11 +276,11 @@ def _inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
         yield one - w.sum(axis=1)[:, None, None]
 
 
-def _bounded(Q: Array, row: Array, most: Array) -> Array:
+def bounded(Q: Array, row: Array, most: Array) -> Array:
     """Return what says that row Q⁻¹ rowᵀ ≤ most."""
     return np.block([[most[:, None, None], row], [row.transpose(0, 2, 1), Q]])
 
 
-def _short(H: Array) -> Array:
+def short(H: Array) -> Array:
     """Return short decimals."""
     return np.array([[float(f"{v:.{_DIGITS - 1}e}") + 0.0 for v in row] for row in H]).reshape(H.shape)

@@ -13,6 +13,7 @@ from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.registry import brief
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController, Row
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, error_unit, percent
@@ -179,6 +180,8 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if covered(spec.objectives.uncertain, conditions):
         yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
         conditions = replace(conditions, plant=None, parameters=None)
+    if any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion)):  # as this one does
+        conditions = replace(conditions, limits=None)
     limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
     if limited and replace(conditions, limits=None).nominal and spec.scenario.conditions.sampling is None:

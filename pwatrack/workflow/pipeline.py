@@ -28,7 +28,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
-from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, measured_start, periodic_state
+from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_measured, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
@@ -96,6 +96,12 @@ def asked_of(
         corners=lambda plant: corners(problem.parametric, plant, goals.uncertain),
         solver=goals.solver,
         sampled=controller.sampled_gains(sampling) if sampling is not None and corrects else None,
+        measured=(
+            from_measured(controller.sizes, controller.plant.C)
+            if isinstance(spec.scenario.initial.observer, Measured)
+            else None
+        ),
+        paced=spec.scenario.conditions.rates is not None,
         acting=lambda proved, errors: _acting(spec, proved, errors),
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray, amount
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.region import LimitedRegion
+from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError, Subject
 from pwatrack.interruption import in_order
@@ -286,8 +287,10 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
 
 def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tuple[str, Array]]:
     """Yield what is proved of starts with limits, and the largest ellipse of it in a plane: see `section`."""
+    sampled = controller.claims_of(SampledRegion)
     kinds = [
-        ("goes to 0, limits reached or not", one.room.spare, one.found) for one in controller.claims_of(LimitedRegion)
+        ("goes to 0, limits reached or not", one.room.spare, one.found)
+        for one in sampled or controller.claims_of(LimitedRegion)
     ]
     kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
     for said, left, guarantees in kinds:

@@ -1,0 +1,319 @@
+"""From which starts the errors of a sampled loop settle although limits of inputs are reached: proved, stored, said.
+
+The program cuts its input off, holds it and predicts with it, so the observer's errors are untouched: see
+`lmi.clocked_region`. What acts in the run is in it: what that leaves in an input beside the feedforward, in the loop
+without limits, is taken off what the feedforward leaves of them.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.exact_text import decimal_texts, double, doubles, packed, read_signals, whole
+from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, taken_off
+from pwatrack.claims.region import every, from_this_start, with_loads
+from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.control.bounds import Loops
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.headroom import Headroom, Starts
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.words import Words
+from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.clocked_region import ClockedRegion, SaturatedTicks
+from pwatrack.lmi.ellipsoid import Inner
+from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.saturated import SaturatedLoop
+from pwatrack.rational import floats
+
+_NOT_FOUND = "no forms were found that prove it"
+_FINER = 2  # times as many segments as the loop without limits takes
+_SHARES = ((0.25, 0.1), (0.5, 1.0))  # of its rate: what V falls with at a limit; the others where none of these will do
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledRegion(Claim):
+    """Starts from which the errors of the sampled loop settle with limits active.
+
+    Attributes:
+        room: What the feedforward and all that acts leave of the limits.
+        idle: Whether nothing acts.
+        found: What is proved of some starts, each by a `ClockedRegion`.
+        missing: Why it is of none; "" where it is of some.
+    """
+
+    room: Headroom = field(repr=False)
+    idle: bool
+    found: tuple[StartGuarantee, ...] = ()
+    missing: str = ""
+
+    statement: ClassVar[str] = (
+        "Under sampled_regions: z as under sampled, before a tick, with nu = 0 and rho = 0 at the starts, D the rows "
+        "of J for nu, less U (s_hat - s) after the tick, J_S with H_S in place of D_S for all sets S of the inputs "
+        "with limits: P as under sampled with rate 0 and J_S^T P_0 J_S < P_N for all S at ticks, z^T P_N z <= 1 at the "
+        "starts, and |H z| <= the sizes where it is so. So z, less what all that acts makes of it "
+        "without limits along the same switching, goes to 0 from starts scaled by c, with u cut off anywhere beyond c "
+        "times these sizes and loads and what that makes of u; with H = 0 and no starts, from all."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"sampled_regions": []}
+
+    @classmethod
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
+        """Yield the starts for which it is proved, or why there are none, where the loop is sampled and has limits."""
+        for search in _Search.of(controller, asked):
+            found = () if search.missing else tuple(search.regions())
+            yield search.told(found)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
+        """Yield the same from what was proved before."""
+        entries = {entry["of"]: entry for entry in content["sampled_regions"]}
+        for search in _Search.of(controller, asked):
+            told = {kind: entry | {"starts": search.behind(entry)} for kind, entry in entries.items()}
+            known = () if search.missing else (search.every, *(nearby(one, told) for one in search.starts))
+            found = [search.guarantee(one, _read(entries[one.kind])) for one in known if one.kind in entries]
+            yield search.told(tuple(found))
+
+    def data(self, controller: ProvedController) -> dict[str, Any]:
+        """Return Q at all knots, and rows H."""
+        return {
+            "sampled_regions": [
+                one.about | {"P": [packed(P.integers, P.exponents) for P in one.held.P], "H": decimal_texts(one.held.H)}
+                for one in self.found
+                if isinstance(one.held, ClockedRegion)
+            ]
+        }
+
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
+        """Return by which scale starts may be off."""
+        left, names = self.room.spare, words.plant.inputs
+        said = [] if left is None else [one.figures(left, names) for one in self.found]
+        return {"sampled_limits_active": {"starts": said, "missing": self.missing}}
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield from which starts errors settle."""
+        left, label = self.room.spare, "limits, sampled"
+        if left is None or not self.found:
+            yield label, f"not proved: {self.missing}"
+            return
+        for one in self.found:
+            starts = one.said(left, loads=controller.plant.loads is not None)
+            if one.starts.kind == "every":
+                starts = f"every start{with_loads(self.room, words, controller, one)}"
+            yield label, f"in the sampled loop {self.goes} from {starts}, with inputs at their limits too"
+            label = ""
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield whether errors settle from the start of the run with inputs at their limits, where that is proved."""
+        if self.from_this_start(controller):
+            yield "as sampled", f"from this start {self.goes}, with inputs at their limits too"
+
+    @property
+    def goes(self) -> str:
+        """What errors do."""
+        if self.idle and self.room.ever:
+            return "errors go to 0"
+        return "errors shrink throughout this run" + " to what all that acts leaves" * (not self.idle)
+
+    def from_this_start(self, controller: ProvedController) -> bool:
+        """Whether it is proved of the start of the run."""
+        return from_this_start(self.room, controller, self.found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Search:
+    """Looks for regions of one loop."""
+
+    controller: ProvedController
+    loop: SampledLoop
+    room: Headroom  # without what acts takes
+    idle: bool
+    missing: str
+    off: Array  # columns by which x̂(0) of the run may be off, (n, q), as it is made of what is measured
+
+    @classmethod
+    def of(cls, controller: ProvedController, asked: Asked) -> Iterator["_Search"]:
+        """Yield the search where the sampled loop is proved and inputs have limits; and why nothing is tried, if so."""
+        room = asked.room
+        for loop in controller.claims_of(SampledLoop) if room is not None else ():
+            if loop.proof is None or room is None:
+                continue
+            taken, idle, missing = np.full(1, np.inf), False, _beyond(controller, loop, room, paced=asked.paced)
+            X = np.zeros(controller.plant.C.T.shape) if asked.measured is None else asked.measured
+            for bounds in controller.claims_of(SampledBounds) if not missing else ():
+                taken, idle = bounds.taken(room.inputs, drives(bounds.errors, room.inputs)), bounds.idle
+                X = X * bounds.noise
+            if not missing and not np.isfinite(taken).all():
+                missing = "no bound is proved of what acts"
+            elif not missing:
+                room = room.beside(dict(zip(room.inputs, taken.tolist(), strict=True)), ever=idle)
+                missing = "what acts takes all that is left of the limits" * (room.spare is None)
+            yield cls(controller=controller, loop=loop, room=room, idle=idle, missing=missing, off=X)
+
+    def told(self, found: tuple[StartGuarantee, ...]) -> SampledRegion:
+        """Return the claim."""
+        missing = self.missing or _NOT_FOUND * (not found)
+        return SampledRegion(room=self.room, idle=self.idle, found=found, missing=missing)
+
+    @cached_property
+    def errors(self) -> SampledErrors:
+        """Of the loop."""
+        return errors_of(self.controller, self.loop.gains)
+
+    @cached_property
+    def loops(self) -> Loops:
+        """The loops in continuous time, which know where loads act."""
+        return loops_of(self.controller)
+
+    @cached_property
+    def starts(self) -> list[Starts]:
+        """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0)."""
+        off = self.off[:, self.off.any(axis=0)]
+        return [one if one.kind in ("exact", "sizes", "members") else _more(one, off) for one in self.room.starts]
+
+    @property
+    def every(self) -> Starts:
+        """All starts."""
+        return every(self.controller)
+
+    @cached_property
+    def proof(self) -> ClockedProof:
+        """Of the loop without limits."""
+        assert self.loop.proof is not None
+        return self.loop.proof
+
+    @cached_property
+    def ticks(self) -> SaturatedTicks:
+        """The loop with its limits."""
+        system, inputs = self.errors.clocked, self.room.inputs
+        return SaturatedTicks(
+            system=system,
+            near=floats(self.proof.P[0].P),
+            knots=_FINER * (len(self.proof.P) // system.parts - 1),
+            places=tuple(len(self.controller.plant.B) + k for k in inputs),
+            D=BallMatrix.of(drives(self.errors, inputs)) @ system.J[0],
+            rate=self.proof.rate,
+        )
+
+    @cached_property
+    def continuous(self) -> SaturatedLoop:
+        """The loop of (e, Δ, σ) as if its ticks went on all the time: for short samples nearly what it does."""
+        errors, gains, inputs, (n, m, N, *_) = self.errors, self.loop.gains, self.room.inputs, self.errors.widths
+        corrects = gains.M @ errors.plant.observed.C.floats / gains.sample_time
+        own = [*range(n), *range(n + m, n + m + N)]
+        W = drives(errors, tuple(range(m)))[:, n:]
+        D, B = np.hstack([gains.K, gains.K @ np.eye(n, N) + W[:, m : m + N]]), errors.plant.B
+        seen = [A if errors.plant.loads is None else errors.plant.loads.observed(A) for A in errors.seen]
+        pairs = [
+            np.block([[A.floats + B @ D[:, :n], B @ D[:, n:]], [np.zeros((N, n)), A_j.floats + corrects]])
+            for A, A_j in product(errors.cells, seen)
+        ]
+        Q = np.asarray(np.linalg.inv(floats(self.proof.P[0].P))[np.ix_(own, own)], dtype=np.float64)
+        return SaturatedLoop(
+            M=[BallMatrix.of(X) for X in pairs],
+            B=BallMatrix.of(np.vstack([B, np.zeros((N, m))])[:, list(inputs)]),
+            D=BallMatrix.of(D[list(inputs)]),
+            inners=[Inner(Q=Q, most=2 * self.proof.rate)],
+        )
+
+    def regions(self) -> Iterator[StartGuarantee]:
+        """Yield what is proved: of every start, or of multiples of those that are given."""
+        off = taken_off(self.controller.compensation, self.loops.at_inputs)
+        held = self.ticks.everywhere() if self.loops.n == self.loops.N or off else None
+        if held is not None:
+            yield self.guarantee(self.every, held)
+            return
+        for one in self.starts:
+            if one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off):
+                best = self._largest(one)
+                if best is not None:
+                    yield best
+
+    def _largest(self, starts: Starts) -> StartGuarantee | None:
+        """Return the region of the largest multiple that is proved, of a few H."""
+        left, (n, m, N, *_) = self.room.spare, self.errors.widths
+        assert left is not None
+        before, own, best = self._before(starts), [*range(n), *range(n + m, n + m + N)], None
+        room, ticked = np.maximum(left[list(self.room.inputs)], 0.0), self.errors.ticks[0].floats[own]
+        for shares in _SHARES:
+            rates = [share * self.proof.rate for share in shares]
+            for _, H, weights in self.continuous.sought(before[own], room, rates):
+                held = self.ticks.around(before, room, H @ ticked, weights)
+                tried = None if held is None else self.guarantee(starts, held)
+                if tried is not None and (best is None or tried.scale(left) > best.scale(left)):
+                    best = tried
+            if best is not None:
+                break
+        return best
+
+    def guarantee(self, starts: Starts, held: ClockedRegion) -> StartGuarantee:
+        """Return what a region says of starts, as z before the first tick."""
+        inputs, own = self.room.inputs, starts.kind != "every"
+        loads = loads_at(self.loops, starts, inputs) if own else (0.0,) * len(inputs)
+        before = self._before(starts)
+        return StartGuarantee(starts=starts, loop="joint", inputs=inputs, held=held, loads=loads, before=before)
+
+    def behind(self, entry: Any) -> list[Any]:
+        """Return the rows of starts of a certificate that are of (e, Δ, σ), or of e alone where the others are 0."""
+        (n, m, N, *_), rows = self.errors.widths, list(entry["starts"])
+        own = next((one for one in self.starts if one.kind == entry["of"]), None)
+        return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
+
+    def _before(self, starts: Starts) -> Array:
+        """Return G of z before the first tick, (order, k)."""
+        (n, m, *_), k = self.errors.widths, starts.e.shape[1]
+        delta, load = (np.zeros((0, k)) if X is None else X for X in (starts.delta, starts.load))
+        behind = np.zeros((self.errors.order - n - m - len(delta) - len(load), k))
+        return np.vstack([starts.e, np.zeros((m, k)), delta, load, behind])
+
+
+def drives(errors: SampledErrors, inputs: tuple[int, ...]) -> Array:
+    """Return the rows on z that read u − u_ff of some inputs, and what is taken off for loads, (inputs, order)."""
+    (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
+    rows[range(len(inputs)), [n + k for k in inputs]] = 1.0
+    for place, at in enumerate((loads and loads.inputs(errors.plant.exact.B)) or ()):
+        rows[[j for j, k in enumerate(inputs) if k == at], n + m + n + place] = -1.0
+    return rows
+
+
+def _beyond(controller: ProvedController, loop: SampledLoop, room: Headroom, *, paced: bool) -> str:
+    """Return why nothing is tried; "" where it is."""
+    if room.peak is None:
+        return "x_d takes too long to follow, so what its feedforward takes is not known"
+    if room.spare is None:
+        return "the feedforward takes more than the limits, from where the generator starts"
+    if paced:
+        return "rates of inputs are limited too"
+    if loop.gains.delay:
+        return "inputs are late, and what waits as the run begins acts too"
+    if on_estimates(controller) is not None:
+        return "x_d depends on estimates of loads"
+    return ""
+
+
+def _more(starts: Starts, off: Array) -> Starts:
+    """Return starts with x̂ − x by so much more, whatever its sign."""
+    if starts.delta is None or not off.size:
+        return starts
+    load, more = starts.load, off.shape[1]
+    return replace(
+        starts,
+        e=np.hstack([starts.e, np.zeros_like(off)]),
+        delta=np.hstack([starts.delta, off]),
+        load=None if load is None else np.hstack([load, np.zeros((len(load), more))]),
+    )
+
+
+def _read(entry: Any) -> ClockedRegion:
+    return ClockedRegion(
+        P=tuple(Packed(**whole(P)) for P in entry["P"]),
+        H=np.asarray(doubles(entry["H"])),
+        weights=tuple(map(double, entry["weights"])),
+        sizes=tuple(size for _, size in read_signals(entry["signals"])),
+    )

@@ -1,0 +1,89 @@
+"""From which starts the errors of a sampled loop go to 0 although inputs are cut off at limits: forms that fall."""
+
+from fractions import Fraction
+from itertools import product as choices
+from typing import Any
+
+from .balls import Ball
+from .bounds import SIGNALS, Loop
+from .clocked import growing, predicted
+from .matrices import AuditFault, added, definite, product, transposed
+from .reading import distinct, matrix, number, packed, place
+from .shape import NUMBER, PACKED, ROWS, TEXT, of
+from .starts import kind_of
+from .ticks import AuditedErrors
+
+KEY = "sampled_regions"
+SHAPE = [of(TEXT, "of loop") | of(ROWS, "starts H") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}]
+
+
+def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+    """Return what is wrong with the regions of the sampled loop with limits active, and what they claim."""
+    if not found:
+        return [], []
+    if whole["sampled"] is None:
+        raise AuditFault("there are regions of a sampled loop, and none is proved")
+    distinct([[entry["of"]] for entry in found], "a region of the sampled loop")
+    errors = AuditedErrors(whole["sampled"], loop, predicted(whole))
+    if errors.late or errors.estimates is not None:
+        raise AuditFault("regions are not said of late inputs, and of loads that do not only act at inputs")
+    kind_of(loop, "joint")
+    faults = [
+        f"sampled region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(errors, entry, whole)
+    ]
+    every = any(entry["of"] == "every" for entry in found)
+    starts = "every start" if every else f"{len(found)} boxes of starts"
+    return faults, [f"with inputs at their limits errors of the sampled loop go to 0 from {starts}"]
+
+
+def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
+    """Return what is wrong with one region."""
+    H, P = matrix(entry["H"]), packed(entry["P"][-1])[0]
+    inputs = [place(k, errors.m) for _, k, _ in entry["signals"]]
+    distinct([signal[:2] for signal in entry["signals"]], "a signal")
+    kinds = {kind for kind, *_ in entry["signals"]}
+    if not inputs or len(kinds) > 1 or not kinds <= {"input", "drive"}:
+        raise AuditFault("a region of the sampled loop is not of inputs")
+    if len(H) != len(inputs) or any(len(row) != errors.order for row in H) or len(P) != errors.order:
+        raise AuditFault("the rows of a region of the sampled loop do not fit")
+    faults = list[str]()
+    if entry["of"] == "every":
+        if entry["weights"] or any(map(any, H)):
+            raise AuditFault("a region of every start has no starts, and no rows")
+    else:
+        faults += around(errors, entry, P)
+    for (kind, k, size), row in zip(entry["signals"], H, strict=True):
+        most = number(size)
+        if any(row) and not (most > 0 and definite(added(P, [[a * b / most**2 for b in row] for a in row], -1))):
+            faults.append(f"{kind} {k} is not bounded by {size}")
+    return faults + growing(errors, whole["sampled"], entry["P"], ticks(errors, inputs, H), Fraction(0))
+
+
+def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:
+    """Return what is wrong with starts that are to be inside, z before a tick with nu = 0 and rho = 0."""
+    G, weights = matrix(entry["starts"]), [number(w) for w in entry["weights"]]
+    fits = weights and min(weights) > 0 and sum(weights) <= 1 and len(G) == errors.order
+    if not fits or any(len(row) != len(weights) for row in G):
+        raise AuditFault("the weights of the starts are not positive, or more than 1 together")
+    n, m, N = errors.n, errors.m, errors.N
+    if any(map(any, G[n : n + m])) or any(map(any, G[n + m + N :])):
+        raise AuditFault("a start of the sampled loop has an input that is held, or a prediction")
+    box = [[w * (j == k) for k in range(len(weights))] for j, w in enumerate(weights)]
+    inside = definite(added(box, product(transposed(G), product(P, G)), -1))
+    return [] if inside else ["a start is not in the region"]
+
+
+def ticks(errors: AuditedErrors, inputs: list[int], H: Any) -> list[Ball]:
+    """Return what a tick makes of z with rows H in place of what inputs are made of, for all sets of inputs."""
+    (J,), n, m, loads = errors.ticks, errors.n, errors.m, range(len(errors.at))
+    found = list[Ball]()
+    for chosen in choices((False, True), repeat=len(inputs)):
+        tick = J
+        for k, row, is_chosen in zip(inputs, H, chosen, strict=True):
+            if is_chosen:
+                D = J.row(n + k)
+                for load in loads:
+                    D = D - J.row(n + m + n + load) if errors.at[load] == k else D
+                tick += Ball([[Fraction(j == n + k)] for j in range(errors.order)]) @ (Ball([row]) - D)
+        found.append(tick)
+    return found

@@ -1,0 +1,208 @@
+"""Inputs of a loop that is sampled, cut off at limits: from which starts z goes to 0 all the same, proved exactly.
+
+Let z be as in `clocked`, with z⁺ = J z + T (v − D z) at ticks, T unit columns, one for each input with limits, and v_j
+what limits make of D_j z: D_j z where |D_j z| ≤ ū_j, and else between D_j z and 0 and no smaller than ū_j in size.
+As in `saturated`, where |H_j z| ≤ ū_j each v_j is a mean of D_j z and H_j z. So with forms P_0 … P_N that satisfy the
+inequalities of `clocked` with all
+
+    J_S = J + T_S (H_S − D_S)    for every set S of inputs in place of J,    and H_jᵀ H_j ⪯ ū_j² P_N,
+
+V = zᵀ P(τ) z falls from every z with V ≤ 1 just before a tick, with limits active (proved in `docs/theory/beyond.md`).
+Starts G ζ, |ζ_k| ≤ 1, are among these where Gᵀ P_N G ⪯ diag(w), Σ w ≤ 1. With H = 0 V falls from every z, for any ū.
+
+Of a loop on which something acts, the same is true of what is left of z once the response to that is taken off, the one
+of the loop without limits along the same switching from 0 on: where that takes β_j of ū_j at most, ū_j − β_j is left.
+
+H is given here: then all is linear in P. It is looked for as if samples were short, see `saturated`. In the inverse of
+P, in which H may be sought too, forms that are linear in time lose by what is held, however short a sample is.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.chain_map import Bound, ChainMap
+from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves
+from pwatrack.lmi.clocked_forms import ClockedForms, Segment
+from pwatrack.lmi.ellipsoid import short_weights
+from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.norm import square_above
+from pwatrack.lmi.primal_dual import least
+from pwatrack.lmi.saturated import short
+from pwatrack.rational import Rational, diagonal, floats, is_positive_definite
+
+_DECAYS = (0.02, 0.1)  # of the rate without limits: what V falls with at least, until that is enough to be proved
+_LEAST = 1e-4  # of P at all knots, in coordinates in which the starts have size 1
+_GAP = 1e-3  # share of the scale that may be missed
+_BITS = (40, 80)  # of the entries of P_k
+_INSIDE = 1e-5  # by which P is made smaller, so that the starts are inside
+_ABOVE = 1e-6  # by which a size is more than floating point says
+_WORST = 4  # vertices that are added at each end of a segment where some are not satisfied
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockedRegion:
+    """What is proved above, exactly; no weights where it is from every start."""
+
+    P: tuple[Packed, ...]  # at the knots, those of the first part first
+    H: Array  # (m, n), decimals
+    weights: tuple[float, ...]  # w_k, short decimals; one for each column of G
+    sizes: tuple[float, ...]  # of H_j z where V ≤ 1 before a tick; all 0 where H = 0
+
+    @property
+    def form(self) -> Array:
+        """P_N of the last part, (n, n)."""
+        return floats(self.P[-1].P)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaturatedTicks:
+    """A loop with limits of what a tick puts out."""
+
+    system: Clocked  # without limits
+    places: tuple[int, ...]  # of the inputs with limits in z, (m,)
+    D: BallMatrix  # (m, n)
+    near: Array  # a form P_0 that falls where no limit is reached, (n, n): it decides the coordinates
+    rate: float  # with which it does, in 1/s
+    knots: int  # segments of each part
+
+    def limited(self, H: BallMatrix) -> Clocked:
+        """Return the system with the ticks of all sets S."""
+        (m, n), rest, ticks = H.shape, H - self.D, list[BallMatrix]()
+        for chosen in product((False, True), repeat=m):
+            S = [j for j in range(m) if chosen[j]]
+            T = BallMatrix.of(np.eye(n)[:, [self.places[j] for j in S]], (n, len(S)))
+            ticks += [J + T @ rest.part(S, range(n)) if S else J for J in self.system.J]
+        return replace(self.system, J=ticks, blocks=())
+
+    def everywhere(self) -> ClockedRegion | None:
+        """Return P with H = 0, if they are proved: then z goes to 0 from every start, whatever the limits.
+
+        Example: z' = −z with an input that a tick makes −z or less in size; and z' = z with −2 z: 0 does not hold it.
+
+            >>> stable, unstable = ticking(-1.0, -1.0), ticking(1.0, -2.0)
+            >>> stable.everywhere() is not None, unstable.everywhere() is not None
+            (True, False)
+        """
+        m, n = self.D.shape
+        proof = clocked_proof(self.limited(BallMatrix.of(np.zeros((m, n)), (m, n))), knots=self.knots)
+        return None if proof is None else ClockedRegion(P=proof.P, H=np.zeros((m, n)), weights=(), sizes=(0.0,) * m)
+
+    def around(self, G: Array, room: Array, H: Array, weights: Array) -> ClockedRegion | None:
+        """Return a region of a large multiple of starts G ζ, |ζ_k| ≤ 1, if one is proved; its sizes say of which.
+
+        Args:
+            G: (n, k), z just before the first tick; counts as the decimals that it prints as.
+            room: ū in proportion, (m,); H_j = 0 where it is 0.
+            H: (m, n), which is made short.
+            weights: Of the columns of G that are not 0.
+
+        Example: z' = z + v, v = −3 z cut off at ±1 and held for 0.1 s, goes to 0 from |z| < 1.
+
+            >>> G, H = np.array([[0.5], [0.0]]), np.array([[-1.05, 0.0]])
+            >>> found = ticking(1.0, -3.0).around(G, np.ones(1), H, np.ones(1))
+            >>> bool(1.8 < 1 / found.sizes[0] < 2 / 1.05)
+            True
+        """
+        H, few = short(H), short_weights(G, weights)
+        exactly = BallMatrix.of(H, H.shape)
+        system = self.limited(exactly)
+        for decay in _DECAYS:
+            found = self._sought(system, G / np.sqrt(few), H / np.where(room > 0, room, np.inf)[:, None], decay)
+            for bits in _BITS if found is not None else ():
+                P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found or ())
+                if starts_inside(P[-1], G, few) and proves(system, P, 0.0):
+                    sizes = tuple(_size_above(P[-1], row) for row in H)
+                    if all(is_positive_definite(within(P[-1], exactly, j, size)) for j, size in enumerate(sizes)):
+                        return ClockedRegion(P=P, H=H, weights=few, sizes=sizes)
+        return None
+
+    def _sought(self, system: Clocked, G: Array, rows: Array, decay: float) -> list[Array] | None:
+        """Return P at the knots, in floating point: with Gᵀ P_N G ⪯ I and rowsᵀ rows ⪯ P_N / t for the largest t."""
+        clock, L = looked_for(system, self.knots), np.linalg.cholesky(self.near).T
+        values, V = np.linalg.eigh(L @ G @ G.T @ L.T)
+        size = float(np.sqrt(values[-1]))
+        L = L / size
+        back, rate = np.linalg.inv(L), decay * self.rate
+        F, R, rows = L @ (clock.F + rate * np.eye(len(L))) @ back, L @ clock.R @ back, rows @ back
+        J = L @ clock.J @ back * np.exp(rate * clock.period / 4)
+        starts, unit = V * np.sqrt(np.maximum(values, 0.0)) / size, float(np.linalg.norm(rows, axis=1).max())
+        asked = _Asked(clock=clock, F=F, R=R, J=J, starts=starts, rows=rows / unit)
+        found = clock.of_few(asked.solved, asked.lowest, _WORST)
+        return None if found is None else [L.T @ P @ L for P in found]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """The program in coordinates in which the loop without limits, starts and rows are of size 1."""
+
+    clock: ClockedForms
+    F: Array
+    R: Array
+    J: Array
+    starts: Array
+    rows: Array
+
+    def solved(self) -> list[Array] | None:
+        """Return P at the knots for the vertices that are asked for, or None."""
+        chain = ChainMap(list(self._bounds()), self._count)
+        v = least(chain, gap=_GAP)
+        return None if v is None else list(chain.matrices(v))
+
+    @property
+    def _count(self) -> int:
+        return self.clock.parts * (self.clock.knots + 1)
+
+    def _bounds(self) -> Iterator[Bound]:
+        clock, eye, last = self.clock, np.eye(len(self.R)), self._count - 1
+        less, nothing = (-eye / 2, eye), np.zeros_like(eye)
+        for k in range(self._count):
+            yield Bound({k: less}, nothing, _LEAST * eye)
+        yield Bound({last: (self.starts.T / 2, self.starts)}, nothing, -eye)
+        for row in self.rows[self.rows.any(axis=1)]:
+            yield Bound({last: less}, np.outer(row, row))
+        for before, after, X, _ in clock.jumps(self.J, self.R):
+            yield Bound({before: less, after: (X.T / 2, X)}, nothing)
+        for (k, after, e), vertices in clock.asked.items():
+            for i in vertices:
+                terms = {k: less, after: (eye / 2, eye)}
+                terms[e] = terms[e][0] + clock.step * self.F[i].T, eye
+                yield Bound(terms, nothing)
+
+    def lowest(self, P: list[Array], segment: Segment) -> Array:
+        """Return the least eigenvalue of what is left between ticks, for each vertex."""
+        return np.asarray(np.linalg.eigvalsh(self.clock.left(P, segment, self.F))[:, 0])
+
+
+def starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:
+    """Say whether Gᵀ P G ≺ diag(w), decided in fractions."""
+    on = BallMatrix.of(G, G.shape)
+    inside = (on.transpose() @ BallMatrix(P.P) @ on).centre
+    return is_positive_definite(diagonal([Fraction(repr(w)) for w in weights]) - inside)
+
+
+def within(P: Packed, H: BallMatrix, j: int, size: float) -> Rational:
+    """Return what is positive definite where |H_j z| ≤ size for zᵀ P z ≤ 1; for a row of 0 P itself."""
+    row = H.part([j], range(H.shape[1])).transpose()
+    return P.P if not size else P.P - square_above(row, [1 / Fraction(repr(size)) ** 2], P.scale)
+
+
+def _size_above(P: Packed, row: Array) -> float:
+    size = float(np.sqrt(row @ np.linalg.solve(floats(P.P), row))) * (1 + _ABOVE)
+    return float(f"{size:.9e}")
+
+
+def ticking(a: float, gain: float) -> SaturatedTicks:
+    """Return the loop x' = a x + v with v = gain x, held for 0.1 s, as an example: z = (x, v)."""
+    F, J = [BallMatrix.of([[a, 1], [0, 0]])], [BallMatrix.of([[1, 0], [gain, 0]])]
+    system = Clocked(F=F, J=J, period=Fraction(1, 10))
+    forms = looked_for(system, 1).at(0.0)
+    assert forms is not None
+    return SaturatedTicks(
+        system=system, places=(1,), D=BallMatrix.of([[gain, 0]]), near=forms.P[0], rate=forms.rate, knots=4
+    )

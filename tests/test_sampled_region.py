@@ -1,0 +1,250 @@
+"""Limits that a sampled loop reaches: from which starts errors settle all the same, between ticks too."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pwatrack import Spec, design, load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.claims.exact_text import decimal_texts
+from pwatrack.claims.region import LimitedRegion
+from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_region import SampledRegion, drives
+from pwatrack.commands.verify import verify
+from pwatrack.control.controller import ProvedController
+from pwatrack.lmi.audit.certificate import audit
+from pwatrack.lmi.clocked_region import ClockedRegion
+from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.report.certificate import design_certificate
+from pwatrack.simulation.closed_loop import closed_loop
+from pwatrack.simulation.propagate import simulate_flow
+from tests.test_cli import call
+
+POLE = """
+name: A pole that leans on a cushion
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  units: {z: rad, v: rad/s, u: N m, y: rad}
+  sizes: {z: 0.3, v: 0.6, u: 2}
+  A: [[0, 1], [4, -0.2]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  nonlinearities: [{name: cushion, kind: spring, of: z, start: 0.2, slope: 3, into: {v: -1}}]
+design: {tracking: state, MORE}
+reference: {setpoint: {y: 0}}
+simulation:
+  duration: 12
+  sample_time: 0.02
+  controller: {sample_time: 0.02}
+  actuator: {limits: {u: [-2, 2]}}
+  initial: {plant: {z: 0.2}, observer: OBSERVER}
+  ALSO
+"""
+
+
+def written(folder: Path, *, more: str = "", also: str = "", observer: str = "{z: 0.2}") -> Path:
+    path = folder / "pole.yaml"
+    text = POLE.replace(", MORE", f", {more}" if more else "").replace("ALSO", also).replace("OBSERVER", observer)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def pole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedController]:
+    spec = load_spec(written(tmp_path_factory.mktemp("pole")))
+    return spec, design(spec)
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedController]:
+    spec = load_spec(written(tmp_path_factory.mktemp("loaded"), more="estimate: input", also="disturbance: {v: 0.3}"))
+    return spec, design(spec)
+
+
+def scaled(controller: ProvedController) -> dict[str, float]:
+    claim = controller.claim(SampledRegion)
+    left = claim.room.spare
+    assert left is not None, claim.missing
+    return {one.starts.kind: one.scale(left) for one in claim.found}
+
+
+@pytest.mark.parametrize("of", ["pole", "loaded"])
+def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
+    of: str, request: pytest.FixtureRequest
+) -> None:
+    _, controller = request.getfixturevalue(of)
+    errors = controller.claim(SampledBounds).errors
+    system, random, reached = errors.clocked, np.random.default_rng(4), 0
+    F, (J,) = np.array([X.floats for X in system.F]), (X.floats for X in system.J)
+    assert system.between is not None
+    R, step = system.between.floats, 0.02 / system.parts
+    place = len(controller.plant.B)
+    D = (drives(errors, (0,)) @ J)[0]
+    for one in controller.claim(SampledRegion).found:
+        held = one.held
+        assert isinstance(held, ClockedRegion)
+        P, (most,) = held.form, held.sizes
+        edges = random.normal(size=(60, len(P)))
+        for z in edges / np.sqrt(np.einsum("ki,ij,kj->k", edges, P, edges))[:, None]:
+            at, value = z, 1.0
+            for _ in range(40):
+                off = np.clip(D @ at, -most, most) - D @ at
+                reached += off != 0
+                at = J @ at
+                at[place] += off
+                for part in range(system.parts):
+                    for _ in range(2):
+                        at = expm(F[random.integers(len(F))] * step / 2) @ at
+                    at = at if part == system.parts - 1 else R @ at
+                after = at @ P @ at
+                assert after < value * (1 + 1e-9)
+                value = after
+    assert reached > 200
+
+
+def runs(controller: ProvedController, x: Array, x_hat: Array, push: Conditions) -> Array:
+    """Return |x| at the end of a run of the program itself beside the plant."""
+    loop = closed_loop(controller, push)
+    rest = np.zeros(len(controller.L) - len(x))
+    response = loop.response(
+        simulate_flow(
+            loop.flow,
+            loop.start(plant=x, observer=x_hat, generator=rest[:0]),
+            duration=12.0,
+            sample_time=0.02,
+        )
+    )
+    assert (np.abs(response.u) <= 2 + 1e-12).all()
+    return np.asarray([np.abs(response.x[-1] - response.x_d[-1]).max(), np.abs(response.u).max()])
+
+
+def test_the_program_itself_settles_from_the_edge_and_not_from_far_beyond(pole: tuple[Spec, ProvedController]) -> None:
+    _, controller = pole
+    share, limits = (
+        scaled(controller)["exact"],
+        Conditions(limits=np.array([[-2.0, 2.0]]), sampling=Sampling(sample_time=0.02)),
+    )
+    size = np.array([0.3, 0.6])
+    ends = [
+        runs(controller, x, x, limits) for x in (share * size * np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]])).round(9)
+    ]
+    assert max(end[0] for end in ends) < 1e-3
+    assert max(end[1] for end in ends) == 2.0  # the limit is reached
+    assert runs(controller, 4 * share * size, 4 * share * size, limits)[0] > 0.5
+
+
+def test_it_is_nearly_what_the_loop_in_continuous_time_has(pole: tuple[Spec, ProvedController]) -> None:
+    _, controller = pole
+    claim = controller.claim(LimitedRegion)
+    left = claim.room.spare
+    assert left is not None
+    for one in claim.found:
+        assert scaled(controller)[one.starts.kind] > 0.8 * one.scale(left)
+
+
+def test_what_acts_is_taken_off_the_limits(tmp_path: Path, pole: tuple[Spec, ProvedController]) -> None:
+    """Noise takes of the room what it makes of the input; much noise takes all of it."""
+    shares = {0.0: scaled(pole[1])["exact"]}
+    for noise in (1e-3, 4e-3):
+        path = written(tmp_path, also=f"noise: {{std: {{y: {noise}}}, sample_time: 0.02, seed: 1}}")
+        shares[noise] = scaled(design(load_spec(path)))["exact"]
+    assert shares[0.0] > shares[1e-3] > shares[4e-3] > 0
+    claim = design(load_spec(written(tmp_path, also="noise: {std: {y: 0.1}, sample_time: 0.02, seed: 1}"))).claim(
+        SampledRegion
+    )
+    assert claim.missing == "what acts takes all that is left of the limits"
+    assert not claim.found
+
+
+def test_of_a_run_it_is_said_with_what_noise_adds_to_the_first_estimate(tmp_path: Path) -> None:
+    noise = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"
+    given = design(load_spec(written(tmp_path, also=noise))).claim(SampledRegion)
+    measured = design(load_spec(written(tmp_path, also=noise, observer="measured"))).claim(SampledRegion)
+    (one,), (other,) = ([g for g in claim.found if g.starts.kind == "run"] for claim in (given, measured))
+    assert other.starts.delta is not None
+    assert one.starts.delta is not None
+    assert other.starts.delta.shape[1] == one.starts.delta.shape[1] + 1
+    assert 1e-3 < other.starts.delta[0, -1] < 5e-3
+
+
+def test_loads_take_their_part(pole: tuple[Spec, ProvedController], loaded: tuple[Spec, ProvedController]) -> None:
+    """One of 0.3 N m is taken off the limits of 2 N m; the run with it comes to them, and settles."""
+    spec, controller = loaded
+    assert set(scaled(controller)) == {"exact", "sizes", "run"}
+    assert 1 <= scaled(controller)["run"] < scaled(pole[1])["run"]
+    result = simulate(spec)
+    assert np.abs(result.response.u).max() == 2.0
+    assert np.abs(result.response.x[-1]).max() < 1e-3
+
+
+def test_what_is_late_or_has_rates_is_refused_and_said_so(tmp_path: Path) -> None:
+    late, rates = "inputs are late, and what waits as the run begins acts too", "rates of inputs are limited too"
+    for why in ("", late, rates):
+        path = written(tmp_path)
+        text = path.read_text(encoding="utf-8")
+        if why == late:
+            text = text.replace("controller: {sample_time: 0.02}", "controller: {sample_time: 0.02, delay: 1}")
+        if why == rates:
+            text = text.replace("limits: {u: [-2, 2]}", "limits: {u: [-2, 2]}}\n  rate_limit: {u: 500")
+        path.write_text(text, encoding="utf-8")
+        assert design(load_spec(path)).claim(SampledRegion).missing == why
+
+
+def test_a_plant_that_is_stable_by_itself_settles_from_every_start(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    text = path.read_text(encoding="utf-8").replace("[4, -0.2]", "[-4, -1]")
+    path.write_text(text, encoding="utf-8")
+    said = call("design", path, "--out", tmp_path / "out", "--verbose").stdout
+    assert "in the sampled loop errors go to 0 from every start" in " ".join(said.split())
+    assert verify(tmp_path / "out", path)
+
+
+@pytest.fixture(scope="module")
+def certificate(loaded: tuple[Spec, ProvedController]) -> dict[str, Any]:
+    return design_certificate(*loaded)
+
+
+def test_it_is_audited(certificate: dict[str, Any]) -> None:
+    said, faults = audit(json.dumps(certificate))
+    assert not faults
+    assert "with inputs at their limits errors of the sampled loop go to 0 from 3 boxes of starts" in said
+
+
+def times(rows: list[list[str]], factor: float) -> list[list[str]]:
+    return decimal_texts(np.array(rows, dtype=float) * factor)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (
+            lambda entry: entry["signals"][0].__setitem__(2, "0.001"),
+            "sampled region 1: drive 0 is not bounded by 0.001",
+        ),
+        (
+            lambda entry: entry.update(starts=times(entry["starts"], 1.2)),
+            "sampled region 1: a start is not in the region",
+        ),
+        (
+            lambda entry: entry.update(H=times(entry["H"], 0.3)),
+            "sampled region 1: a tick makes its form grow",
+        ),
+        (lambda entry: entry["P"].reverse(), None),
+        (lambda entry: entry["starts"].__setitem__(2, ["0.1"] * len(entry["weights"])), None),
+    ],
+)
+def test_what_is_forged_is_found_out(change: Any, fault: str | None, certificate: dict[str, Any]) -> None:
+    forged = copy.deepcopy(certificate)
+    (entry,) = (one for one in forged["sampled_regions"] if one["of"] == "sizes")
+    forged["sampled_regions"] = [entry]
+    change(entry)
+    _, faults = audit(json.dumps(forged))
+    assert faults
+    assert fault is None or any(one.startswith(fault) for one in faults), faults
