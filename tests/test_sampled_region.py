@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.claims.exact_text import decimal_texts
+from pwatrack.claims.exact_text import decimal
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_region import SampledRegion, drives
@@ -218,7 +218,7 @@ def test_it_is_audited(certificate: dict[str, Any]) -> None:
 
 
 def times(rows: list[list[str]], factor: float) -> list[list[str]]:
-    return decimal_texts(np.array(rows, dtype=float) * factor)
+    return [[decimal(float(v) * factor) for v in row] for row in rows]
 
 
 @pytest.mark.parametrize(

@@ -287,11 +287,9 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
 
 def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tuple[str, Array]]:
     """Yield what is proved of starts with limits, and the largest ellipse of it in a plane: see `section`."""
-    sampled = controller.claims_of(SampledRegion)
-    kinds = [
-        ("goes to 0, limits reached or not", one.room.spare, one.found)
-        for one in sampled or controller.claims_of(LimitedRegion)
-    ]
+    reached: Sequence[LimitedRegion | SampledRegion] = controller.claims_of(SampledRegion)
+    reached = reached or controller.claims_of(LimitedRegion)
+    kinds = [("goes to 0, limits reached or not", one.room.spare, one.found) for one in reached]
     kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
     for said, left, guarantees in kinds:
         found = (one.section(left, plane) for one in guarantees) if left is not None else ()
