@@ -190,7 +190,7 @@ def title(run: Result) -> str:
         ("", "Stage: tracks; without sampling, limits, noise"),
         ("require: {final_error: 1e-30}\n", "Stage: NOT READY: 1 of 1 requirements missed"),
         ("  actuator: {limits: {u: [-90, 90]}}\n", "Stage: tracks; without sampling, noise"),
-        (MUCH.replace("0.02", "1e-6").replace("0.2,", "1e-6,"), "Stage: tracks; partly proved"),
+        (MUCH.replace("0.02", "1e-6").replace("0.2,", "1e-6,"), "Stage: tracks; proved as it runs"),
     ],
 )
 def test_the_title_says_the_worst_first(tmp_path: Path, more: str, said: str) -> None:
