@@ -26,6 +26,10 @@ With delay ν has −U σ_d of its tick, and e' no − E σ_0. So one sample of 
 A tick that comes λ h after the one before finds x̃ predicted for h all the same. In the time of the program, which is h
 from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else 1 − λ multiplies is x_d'.
 
+Where another plant runs than the program knows, one of a box, f_p and B_p have A_i(p) and B_p in e' where f and B have
+A_i and B, for the same i, and Δ' has A_i e + B ν less that: see `claims.robust`. w acts from outside, in e' and against
+it in Δ', and ω by B_p.
+
 ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n,
 steps of the generator beside (15), and what merged cells leave out act from outside. Where the program predicts all
 cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all.
@@ -50,7 +54,7 @@ from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.vertices import held_rows, outermost, outermost_cells
 from pwatrack.lmi.clocked import Clocked
-from pwatrack.model.pwa import PWASystem
+from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import identity, pivots
 from pwatrack.real import Real
 
@@ -69,6 +73,7 @@ class SampledErrors:
         deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
             at most.
         estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
+        corners: Matrices of plants that may run in place of it, they and their means; none where it runs itself.
     """
 
     plant: PWASystem
@@ -79,6 +84,7 @@ class SampledErrors:
     R: BallMatrix
     deviations: Sequence[tuple[BallMatrix, float]] = ()
     estimates: OnEstimates | None = None
+    corners: Sequence[Matrices] = ()
 
     @classmethod
     def of(cls, plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None) -> "SampledErrors":
@@ -153,28 +159,36 @@ class SampledErrors:
         plant, d, (n, m, N, *_), found = self.plant, self.predicted, self.widths, list[BallMatrix]()
         seen = self.seen if plant.loads is None else [plant.loads.observed(A) for A in self.seen]
         pushes = [change.part(range(n), pivots(self.R.centre)) for change in self.changes] or [zero(n, 0)]
-        for e in self._driven():
-            late = above(e.times(1 - pace), zero(N - n, self.order))
+        for e, known in self.driven:
+            late = above(known - e.times(pace), zero(N - n, self.order))
             for predicted in product(product(seen, pushes), repeat=d):
                 Delta, rho = list[BallMatrix](), list[BallMatrix]()
                 for i, (A_j, push) in enumerate(predicted):
                     row = self._row(N, {2 + i: A_j, 2 + d + i: above(push, zero(N - n, push.shape[1]))})
                     Delta.append(row + late)
-                    rho.append(self.R @ (e + row.part(range(n), range(self.order))))
+                    rho.append(self.R @ (known + row.part(range(n), range(self.order))))
                 rest = zero(sum(self.more), self.order)
                 found.append(above(e.times(pace), zero(m, self.order), *Delta, *rho, rest))
         return found
 
-    def _driven(self) -> list[BallMatrix]:
-        """Return e' where ticks are h apart."""
+    @cached_property
+    def driven(self) -> list[tuple[BallMatrix, BallMatrix]]:
+        """e' where ticks are h apart, and what the program takes it for."""
         (n, _, N, *_), B, loads, at = self.widths, self.plant.exact.B, self.plant.loads, 2 + 2 * self.predicted
         if self.estimates is not None:
-            D = self.estimates.x_d
-            return [
-                self._row(n, {0: A_i, 1: B, at: c - A_i @ D}) for A_i, c in product(self.cells, self.estimates.moves)
-            ]
+            D, pairs = self.estimates.x_d, product(self.cells, self.estimates.moves)
+            rows = [self._row(n, {0: A_i, 1: B, at: c - A_i @ D}) for A_i, c in pairs]
+            return list(zip(rows, rows, strict=True))
+        if self.corners:
+            each = [(A_c, c.B, A_i) for c in self.corners for A_c, A_i in zip(c.A, self.plant.exact.A, strict=True)]
+            both = outermost(
+                [above(self._row(n, {0: A_c, 1: B_c}), self._row(n, {0: A, 1: B})) for A_c, B_c, A in each]
+            )
+            columns = range(self.order)
+            return [(X.part(range(n), columns), X.part(range(n, 2 * n), columns)) for X in both]
         minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
-        return [self._row(n, {0: A_i, 1: B} | minus) for A_i in self.cells]
+        rows = [self._row(n, {0: A_i, 1: B} | minus) for A_i in self.cells]
+        return list(zip(rows, rows, strict=True))
 
     @property
     def ticks(self) -> list[BallMatrix]:

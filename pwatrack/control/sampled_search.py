@@ -23,6 +23,7 @@ _NEAR = 0.05  # of the longest sample time: how near to it one is looked for
 _DIGITS = 3  # of a sample time that is looked at
 _DOUBLINGS = 6  # of a sample time, or halvings, until one is found that is proved and one that is not
 _MOST_TURNED = 20.0  # h times the size of what x_d and u_ff are made of: beyond it a sample is no short time
+_SHARES_OF_BOX = (0.5, 0.25, 0.1)  # of the rate that parts of z have by themselves: what is asked for a box
 _MOST_CELLS = 200  # of a hull, that are looked at one by one
 
 
@@ -50,6 +51,21 @@ def with_forms(
         if proof is not None:
             return finer.gains, proof
     return None
+
+
+def with_corners(errors: SampledErrors, knots: int) -> tuple[ClockedProof | None, str]:
+    """Return forms that prove the loop for all plants of a box, with so many segments or more; else why not."""
+    missing = ""
+    for finer in (knots, 2 * knots, 4 * knots):
+        if _work(errors) * finer > _MOST_WORK:
+            missing = (
+                missing or f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
+            )
+            break
+        if (proof := fastest(errors.clocked, knots=finer, shares=_SHARES_OF_BOX)) is not None:
+            return proof, ""
+        missing = "no forms were found that prove it"
+    return None, missing
 
 
 def longest(
@@ -113,7 +129,8 @@ def _inequalities(errors: SampledErrors) -> int:
     """Return how many there are between ticks, for one segment in each substep."""
     of_each = len(errors.seen) * max(1, len(errors.changes))
     moves = 1 if errors.estimates is None else len(errors.estimates.moves)
-    return int(2 * errors.parts * len(errors.paces) * len(errors.cells) * moves * of_each**errors.predicted)
+    cells = len(errors.driven) if errors.corners else len(errors.cells) * moves
+    return int(2 * errors.parts * len(errors.paces) * cells * of_each**errors.predicted)
 
 
 def _least_work(plant: PWASystem, gains: SampledGains) -> int:

@@ -73,8 +73,10 @@ def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedP
     return None if found is None else proved_forms(system, found.P, rate)
 
 
-def fastest(system: Clocked, *, knots: int) -> ClockedProof | None:
+def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> ClockedProof | None:
     """Return forms that prove nearly the largest rate that forms at so many knots can, or None.
+
+    Of parts that act on each other the whole is asked for these shares of what they reach by themselves.
 
     Example: z' = −z with a tick that halves z, every second: it falls as e^(−(1 + log 2) t).
 
@@ -92,7 +94,7 @@ def fastest(system: Clocked, *, knots: int) -> ClockedProof | None:
     if best is None or not best.rate > 0:
         return None
     most = program.most_of_parts(system.blocks, _LOOKS) or 0.0
-    for share in _OF_MANY if len(system.F) > _MANY else _SHARES:
+    for share in shares or (_OF_MANY if len(system.F) > _MANY else _SHARES):
         if best.rate >= share * most:
             break
         found = program.at(share * most)

@@ -13,6 +13,7 @@ from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.registry import brief
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_box import SampledBox
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController, Row
 from pwatrack.model.conditions import Sampling
@@ -117,6 +118,8 @@ def _proved(
         tracked = [(form, size) for form, size in assessment.ends.items() if form[0] == controller.tracking]
         bounds = "in the end " + (", ".join(spec.words.limits(tracked)) or "no bound is proved")
         bounds = "error to 0" if tracked and not any(size for _, size in tracked) else bounds
+        conditions = spec.scenario.conditions
+        bounds += " with the plant as designed" * (conditions.plant is not None or conditions.parameters is not None)
         yield "as sampled" if runs else ideal, f"{assessment.condition} {bounds}".lstrip()
 
 
@@ -177,7 +180,9 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
         conditions = replace(conditions, noise=None, disturbance=None, quanta=conditions.quanta if steps else None)
     if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
-    if covered(spec.objectives.uncertain, conditions):
+    boxes = controller.claims_of(SampledBox)
+    for_all = any(claim.proof is not None for claim in boxes) if controller.claims_of(SampledLoop) else True
+    if for_all and covered(spec.objectives.uncertain, conditions):
         yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
         conditions = replace(conditions, plant=None, parameters=None)
     if any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion)):  # as this one does

@@ -1,5 +1,6 @@
 """What the errors of a loop that is sampled obey, between ticks and at them, rebuilt from a plant and its gains."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property, reduce
 from itertools import permutations, product
@@ -30,11 +31,14 @@ class AuditedErrors:
     output, act on u alone: with delay, nu has - U sigma of that prediction, and d has no sigma. Of others x_d is that
     of the true loads, and d has (c_j - A_i [X, N]) epsilon in place of it, epsilon and delta held: see `estimates`. A
     tick makes epsilon of the sigma that nu is made of and of delta; nu has - K [X, N] epsilon and what is held more,
-    and delta is what eta_hat is off one sample later.
+    and delta is what eta_hat is off one sample later. Where one of some corners runs, d has its A_i and B, and each
+    observer's error A_i e + B nu less that more, for the same i.
     """
 
-    def __init__(self, content: Any, loop: Loop, watched: AuditedPlant | None = None) -> None:
-        self.plant, self.watched = loop.plant, watched is not None
+    def __init__(
+        self, content: Any, loop: Loop, watched: AuditedPlant | None = None, corners: Sequence[AuditedPlant] = ()
+    ) -> None:
+        self.plant, self.watched, self.corners = loop.plant, watched is not None, corners
         plant = loop.plant
         square = loop.X is None or len(plant.tracked[0]) == len(plant.B[0][0])
         self.at, self.estimates = plant.matched() if square else [], None
@@ -102,20 +106,32 @@ class AuditedErrors:
         of_each = list(product(self.seen, self.read or [zero(self.n, 0)]))
         if len(self.paces) * len(driven) * len(of_each) ** d > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
-        for pace, e in product(self.paces, driven):
-            late = (scaled(e, 1 - pace), zero(below, self.order))
+        for pace, (e, known) in product(self.paces, driven):
+            late = (known - scaled(e, pace), zero(below, self.order))
             for chosen in product(of_each, repeat=d):
                 Delta, rho = list[Ball](), list[Ball]()
                 for i, (A_j, G) in enumerate(chosen):
                     pushed = stacked(G, zero(below, len(self.R[0]))) if below else G
                     own = self.row(self.N, {2 + i: A_j, 2 + d + i: pushed})
                     Delta.append(own + (stacked(*late) if below else late[0]))
-                    rho += [self.R @ (e + top(own, self.n))] if self.R[0] else []
+                    rho += [self.R @ (known + top(own, self.n))] if self.R[0] else []
                 found.append(reduce(stacked, [scaled(e, pace), held, *Delta, *rho, *rest]))
         return [F for _, F in unlike(found)]
 
-    def driven(self) -> list[Ball]:
-        """Return the rows of d."""
+    def driven(self) -> list[tuple[Ball, Ball]]:
+        """Return the rows of d, and what the program takes it for."""
+        if self.corners:
+            cells = [(A_c, c.B, A) for c in self.corners for A_c, A in zip(c.A, self.plant.A, strict=True)]
+            pairs = [
+                (self.row(self.n, {0: A_c, 1: B}), self.row(self.n, {0: A, 1: self.plant.B})) for A_c, B, A in cells
+            ]
+            both = outermost([stacked(*pair) for pair in pairs])
+            return [(top(X, self.n), Ball(X.centre[self.n :], X.radius[self.n :])) for X in both]
+        rows = self.known()
+        return list(zip(rows, rows, strict=True))
+
+    def known(self) -> list[Ball]:
+        """Return the rows of d where the plant of the design runs."""
         B, at = self.plant.B, 2 + 2 * self.predicted
         if self.estimates is not None:
             pairs, D = product(self.cells, self.estimates.moves), self.estimates.x_d

@@ -1,0 +1,108 @@
+"""What is proved of the program for every plant of a box: its errors go to a bound, with the gains it runs with."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pwatrack.arrays import up
+from pwatrack.claims.exact_text import decimal, double, packed, whole
+from pwatrack.claims.robust import Robust
+from pwatrack.claims.sampled import SampledLoop, errors_of
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_search import with_corners
+from pwatrack.control.words import Words, down
+from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.exact import Packed, rounded_down
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledBox(Claim):
+    """The sampled loop for the plants of a box, proved or not.
+
+    Attributes:
+        of: What is proved of them in continuous time; it has the box.
+        gains: Of the program.
+        proof: Forms that prove it; None where it is not proved.
+        missing: Why it is not; "" where it is.
+    """
+
+    of: Robust
+    gains: SampledGains
+    proof: ClockedProof | None
+    missing: str
+
+    statement: ClassVar[str] = (
+        "Under sampled_uncertain: z as under sampled, for every plant as under uncertain: e' has A_i(p) and B(p) in "
+        "place of A_i and B, Delta' A_i - A_i(p) and B - B(p) more, for the same i; P as under sampled, for that rate."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"sampled_uncertain": None}
+
+    @classmethod
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledBox"]:
+        """Yield the proof, or why there is none, where the loop is sampled and proved, and parameters are uncertain."""
+        for loop, of, errors in _both(controller):
+            assert loop.proof is not None
+            proof, missing = with_corners(errors, len(loop.proof.P) // errors.parts - 1)
+            yield cls(of=of, gains=loop.gains, proof=proof, missing=missing)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledBox"]:
+        """Yield what was proved, or that nothing was."""
+        told = content["sampled_uncertain"]
+        for loop, of, _ in _both(controller):
+            P = () if told is None else tuple(Packed(**whole(one)) for one in told["P"])
+            proof = None if told is None else ClockedProof(P=P, rate=double(told["rate"]))
+            missing = "no proof is in the certificate" * (proof is None)
+            yield cls(of=of, gains=loop.gains, proof=proof, missing=missing)
+
+    def data(self, controller: ProvedController) -> dict[str, Any]:
+        """Return the forms."""
+        if self.proof is None:
+            return {}
+        P = [packed(P.integers, P.exponents) for P in self.proof.P]
+        return {"sampled_uncertain": {"rate": decimal(self.proof.rate), "P": P}}
+
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
+        """Return the rate, none where it is not proved."""
+        return {"sampled_uncertain": {"rate": None if self.proof is None else self.rate}}
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield how fast errors go to their bound, for which plants."""
+        box = self.box
+        if self.proof is None:
+            yield "box, sampled", f"not proved for every plant with {box}: {self.missing}"
+        else:
+            yield (
+                "box, sampled",
+                f"for every plant with {box}, also where they change with time, errors of the sampled loop go to a "
+                f"bound at least as fast as e^(−{down(self.rate)} t), while no limit of an input is reached",
+            )
+
+    def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield for which plants it is proved, and how fast."""
+        if self.proof is not None:
+            yield "as sampled", f"to a bound for all plants with {self.box}: time constant {up(1 / self.rate)} s"
+
+    @property
+    def box(self) -> str:
+        """The parameters in words."""
+        return ", ".join(interval.text for interval in self.of.box)
+
+    @property
+    def rate(self) -> float:
+        """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
+        if self.proof is None:
+            return np.nan
+        h, late = self.gains.sample_time, self.gains.jitter
+        return rounded_down(self.proof.rate * h / (h + late), 6) if late else self.proof.rate
+
+
+def _both(controller: ProvedController) -> Iterator[tuple[SampledLoop, Robust, SampledErrors]]:
+    """Yield the sampled loop where it is proved, the box, and the errors of the loop for its plants."""
+    for loop in controller.claims_of(SampledLoop):
+        for of in controller.claims_of(Robust) if loop.proof is not None else ():
+            yield loop, of, replace(errors_of(controller, loop.gains), corners=of.corners)
