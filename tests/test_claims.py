@@ -27,6 +27,7 @@ from pwatrack.workflow.cautions import assessed, plant_questions
 from pwatrack.workflow.pipeline import design
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
+from tests import test_sampled_box, test_sampled_region
 from tests.test_cli import call
 from tests.test_demand import TOLD
 from tests.test_outcome import ROD, RUNAWAY, cart
@@ -167,6 +168,14 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         path = tmp_path / f"{name}.yaml"
         path.write_text(f"name: {name}\n{text}")
         yield path
+    for name, more, also in (
+        ("pole", "", "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"),
+        ("idle", "estimate: input", ""),
+    ):
+        (tmp_path / name).mkdir()
+        yield test_sampled_region.written(tmp_path / name, more=more, also=also)
+    (tmp_path / "table").mkdir()
+    yield test_sampled_box.written(tmp_path / "table", more="plant: {parameters: {m: 2.1}}")
     for name, told in TOLD.items():
         (tmp_path / f"{name}.yaml").write_text(json.dumps(told()))
         yield tmp_path / f"{name}.yaml"

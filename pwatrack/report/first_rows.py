@@ -108,7 +108,8 @@ def _proved(
     """Yield what is proved, and the gains, of the loop that runs; if that is not proved, of the ideal one."""
     sampled = [claim.proof is not None for claim in controller.claims_of(SampledLoop)]
     ideal, runs = "ideal loop", any(sampled)
-    for name, share in ({} if result is None or not runs else result.at_limits).items():
+    settles = any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion))
+    for name, share in ({} if result is None or not runs or settles else result.at_limits).items():
         if share:
             yield "as sampled", f"{name} is at a limit {percent(share)} of the time, of which nothing is proved"
     for label, text in brief(spec.words, controller):
