@@ -101,11 +101,7 @@ class LimitedRegion(Claim):
             return
         goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
         for one in self.found:
-            if one.starts.kind == "every":
-                starts = f"every start{with_loads(self.room, words, controller, one)}"
-            else:
-                starts = one.said(left, loads=controller.plant.loads is not None)
-            starts += self.room.whatever_said(one.starts)
+            starts = starts_said(self.room, left, words, controller, one) + self.room.whatever_said(one.starts)
             yield label, f"in the loop as designed {goes} from {starts}, with inputs at their limits too"
             label = ""
         cheaper = controller.design.cheaper
@@ -138,7 +134,14 @@ def from_this_start(room: Headroom, controller: ProvedController, found: Iterabl
     return (bears and whole) or any(one.of_this_run(left) for one in found)
 
 
-def with_loads(room: Headroom, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
+def starts_said(room: Headroom, left: Array, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
+    """Say of which starts a guarantee is, where each input may be so far from its feedforward, (m,)."""
+    if one.starts.kind == "every":
+        return f"every start{_with_loads(room, words, controller, one)}"
+    return one.said(left, loads=controller.plant.loads is not None)
+
+
+def _with_loads(room: Headroom, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
     """Say with which loads a guarantee of every start is."""
     if controller.plant.loads is None:
         return ""

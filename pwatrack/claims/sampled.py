@@ -19,7 +19,7 @@ from pwatrack.control.sampled_optimal import candidates
 from pwatrack.control.sampled_search import longest, too_much, with_forms
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.exact import Packed, rounded_down
+from pwatrack.lmi.exact import Packed
 from pwatrack.model.pwa import PWASystem
 
 _LAST_DIGIT = 1e-5  # of an entry of a gain, as a share
@@ -134,10 +134,7 @@ class SampledLoop(Claim):
     @property
     def rate(self) -> float:
         """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
-        if self.proof is None:
-            return np.nan
-        h, late = self.gains.sample_time, self.gains.jitter
-        return rounded_down(self.proof.rate * h / (h + late), 6) if late else self.proof.rate
+        return np.nan if self.proof is None else self.gains.passing(self.proof.rate)
 
     @cached_property
     def longest(self) -> float | None:

@@ -16,7 +16,7 @@ from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.sampled_search import with_corners
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.exact import Packed, rounded_down
+from pwatrack.lmi.exact import Packed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,10 +95,7 @@ class SampledBox(Claim):
     @property
     def rate(self) -> float:
         """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
-        if self.proof is None:
-            return np.nan
-        h, late = self.gains.sample_time, self.gains.jitter
-        return rounded_down(self.proof.rate * h / (h + late), 6) if late else self.proof.rate
+        return np.nan if self.proof is None else self.gains.passing(self.proof.rate)
 
 
 def _both(controller: ProvedController) -> Iterator[tuple[SampledLoop, Robust, SampledErrors]]:

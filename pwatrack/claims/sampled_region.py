@@ -17,7 +17,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.exact_text import decimal_texts, double, doubles, packed, read_signals, whole
 from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, taken_off
-from pwatrack.claims.region import every, from_this_start, with_loads
+from pwatrack.claims.region import every, from_this_start, starts_said
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Loops
@@ -103,9 +103,7 @@ class SampledRegion(Claim):
             yield label, f"not proved: {self.missing}"
             return
         for one in self.found:
-            starts = one.said(left, loads=controller.plant.loads is not None)
-            if one.starts.kind == "every":
-                starts = f"every start{with_loads(self.room, words, controller, one)}"
+            starts = starts_said(self.room, left, words, controller, one)
             yield label, f"in the sampled loop {self.goes} from {starts}, with inputs at their limits too"
             label = ""
 

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array
 from pwatrack.control.candidates import short
+from pwatrack.lmi.exact import rounded_down
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.pwa import PWASystem
 
@@ -36,6 +37,11 @@ class SampledGains:
     substeps: int = 1
     delay: int = 0
     jitter: float = 0.0
+
+    def passing(self, rate: float) -> float:
+        """Return a rate (1/s) of the program's time as one of time as it passes, ticks as far apart as may be."""
+        h, late = self.sample_time, self.jitter
+        return rounded_down(rate * h / (h + late), 6) if late else rate
 
     def of(self, sampling: Sampling) -> bool:
         """Say whether they are for this sample time, delay and jitter."""

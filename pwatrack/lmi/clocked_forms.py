@@ -90,6 +90,18 @@ class ClockedForms:
         return np.asarray(np.asarray(np.linalg.cholesky((form + form.T) / 2)).T / d)
 
     @property
+    def count(self) -> int:
+        """How many knots there are."""
+        return self.parts * (self.knots + 1)
+
+    def rises(self, segment: Segment, F: Array) -> dict[int, Term]:
+        """Return the terms of P_{k+1} − P_k + step (Fᵀ P_e + P_e F)."""
+        (k, after, e), eye = segment, np.eye(len(F))
+        terms = {k: (-eye / 2, eye), after: (eye / 2, eye)}
+        terms[e] = terms[e][0] + self.step * F.T, eye
+        return terms
+
+    @property
     def step(self) -> float:
         """Time between knots."""
         return self.period / (self.parts * self.knots)
@@ -208,18 +220,15 @@ class ClockedForms:
 
     def _solved(self, F: Array, J: Array, R: Array, weight: Array) -> tuple[Array, float] | None:
         """Return P, (knots, n, n), with the largest margin for the vertices that are asked for; None without one."""
-        program = MarginProgram(F.shape[1], self.parts * (self.knots + 1))
-        less, more, eye = program.less, program.more, np.eye(program.n)
+        program = MarginProgram(F.shape[1], self.count)
+        less = program.less
         for k in range(program.count):
             program.add({k: less}, _OF_P * weight)
         for before, after, X, share in self.jumps(J, R):
             program.add({before: less, after: (X.T / 2, X)}, share * weight)
         for segment, vertices in self.asked.items():
-            k, after, e = segment
             for i in vertices:
-                terms = {k: less, after: more}
-                terms[e] = terms[e][0] + self.step * F[i].T, eye
-                program.add(terms, self.share * weight)
+                program.add(self.rises(segment, F[i]), self.share * weight)
         return program.solved()
 
 

@@ -114,11 +114,13 @@ class SaturatedTicks:
         system = self.limited(exactly)
         for decay in _DECAYS:
             found = self._sought(system, G / np.sqrt(few), H / np.where(room > 0, room, np.inf)[:, None], decay)
-            for bits in _BITS if found is not None else ():
-                P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found or ())
-                if starts_inside(P[-1], G, few) and proves(system, P, 0.0):
+            if found is None:
+                continue
+            for bits in _BITS:
+                P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found)
+                if _starts_inside(P[-1], G, few) and proves(system, P, 0.0):
                     sizes = tuple(_size_above(P[-1], row) for row in H)
-                    if all(is_positive_definite(within(P[-1], exactly, j, size)) for j, size in enumerate(sizes)):
+                    if all(is_positive_definite(_within(P[-1], exactly, j, size)) for j, size in enumerate(sizes)):
                         return ClockedRegion(P=P, H=H, weights=few, sizes=sizes)
         return None
 
@@ -150,43 +152,36 @@ class _Asked:
 
     def solved(self) -> list[Array] | None:
         """Return P at the knots for the vertices that are asked for, or None."""
-        chain = ChainMap(list(self._bounds()), self._count)
+        chain = ChainMap(list(self._bounds()), self.clock.count)
         v = least(chain, gap=_GAP)
         return None if v is None else list(chain.matrices(v))
 
-    @property
-    def _count(self) -> int:
-        return self.clock.parts * (self.clock.knots + 1)
-
     def _bounds(self) -> Iterator[Bound]:
-        clock, eye, last = self.clock, np.eye(len(self.R)), self._count - 1
+        clock, eye, last = self.clock, np.eye(len(self.R)), self.clock.count - 1
         less, nothing = (-eye / 2, eye), np.zeros_like(eye)
-        for k in range(self._count):
+        for k in range(clock.count):
             yield Bound({k: less}, nothing, _LEAST * eye)
         yield Bound({last: (self.starts.T / 2, self.starts)}, nothing, -eye)
         for row in self.rows[self.rows.any(axis=1)]:
             yield Bound({last: less}, np.outer(row, row))
         for before, after, X, _ in clock.jumps(self.J, self.R):
             yield Bound({before: less, after: (X.T / 2, X)}, nothing)
-        for (k, after, e), vertices in clock.asked.items():
-            for i in vertices:
-                terms = {k: less, after: (eye / 2, eye)}
-                terms[e] = terms[e][0] + clock.step * self.F[i].T, eye
-                yield Bound(terms, nothing)
+        for segment, vertices in clock.asked.items():
+            yield from (Bound(clock.rises(segment, self.F[i]), nothing) for i in vertices)
 
     def lowest(self, P: list[Array], segment: Segment) -> Array:
         """Return the least eigenvalue of what is left between ticks, for each vertex."""
         return np.asarray(np.linalg.eigvalsh(self.clock.left(P, segment, self.F))[:, 0])
 
 
-def starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:
+def _starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:
     """Say whether Gᵀ P G ≺ diag(w), decided in fractions."""
     on = BallMatrix.of(G, G.shape)
     inside = (on.transpose() @ BallMatrix(P.P) @ on).centre
     return is_positive_definite(diagonal([Fraction(repr(w)) for w in weights]) - inside)
 
 
-def within(P: Packed, H: BallMatrix, j: int, size: float) -> Rational:
+def _within(P: Packed, H: BallMatrix, j: int, size: float) -> Rational:
     """Return what is positive definite where |H_j z| ≤ size for zᵀ P z ≤ 1; for a row of 0 P itself."""
     row = H.part([j], range(H.shape[1])).transpose()
     return P.P if not size else P.P - square_above(row, [1 / Fraction(repr(size)) ** 2], P.scale)

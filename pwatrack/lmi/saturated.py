@@ -93,8 +93,8 @@ class SaturatedLoop:
         near = self.inners[-1].near(M) if self.inners else None
         if near is None or not np.linalg.eigvals(M).real.max() < 0:
             return None
-        V, within = near
-        found = solve(largest_margin(lyapunov(within / max(float(np.abs(within).max()), 1e-300))))
+        V, inside = near
+        found = solve(largest_margin(lyapunov(inside / max(float(np.abs(inside).max()), 1e-300))))
         if found is None or not found.t > 0:
             return None
         proved = enclosure(vertices, nothing, [V @ found.P @ V.T])
@@ -143,10 +143,10 @@ class SaturatedLoop:
         self, near: tuple[Array, Array], G: Array, room: Array, decay: float
     ) -> tuple[Array, Array, Array] | None:
         """Return Q, H and the weights of the starts, in floating point."""
-        V, within = near
+        V, inside = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
         units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
-        seen = _Scaled.of(within, B * units, D / units[:, None], decay)
+        seen = _Scaled.of(inside, B * units, D / units[:, None], decay)
         G = solve_triangular(V, G, lower=True)
         size = float(np.linalg.norm(G, 2))
         found = seen.largest(G / size, room / units / float((room / units).max()))
@@ -187,9 +187,9 @@ class _Scaled:
         def blocks(x: Unknowns) -> Iterator[Array]:
             x = {**x, "Z": x["Z"] * mask[:, None]}
             yield from self.falls(x)
-            yield from inside(x, {"w": G})
+            yield from _inside(x, {"w": G})
             for j in np.flatnonzero(room > 0).tolist():
-                yield bounded(x["Q"], x["Z"][:, j : j + 1] / room[j], x["t"])
+                yield _bounded(x["Q"], x["Z"][:, j : j + 1] / room[j], x["t"])
 
         found = minimised("t", {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
         if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
@@ -250,7 +250,7 @@ class LimitedGain:
     def _common(self, x: Unknowns, most: Array) -> Iterator[Array]:
         """Yield what holds with all starts inside, |H_j z|² ≤ most · room_j² there."""
         Q, limited = x["Q"], np.flatnonzero(np.isfinite(self.room))
-        yield from inside(x, {f"w{k}": G for k, G in enumerate(self.starts)})
+        yield from _inside(x, {f"w{k}": G for k, G in enumerate(self.starts)})
         kept = x["Z"] * (self.room > 0)[:, None] if self.over > 1 else x["Y"]
         for A_p in self.A:
             yield -symmetric_part((A_p + self.shift) @ Q + self.B @ x["Y"])
@@ -261,10 +261,10 @@ class LimitedGain:
         for j in limited[self.room[limited] > 0].tolist():
             rows = [kept[:, j : j + 1] / self.room[j], x["Y"][:, j : j + 1] / (self.over * self.room[j])]
             for row in rows if 1 < self.over < np.inf else rows[:1]:
-                yield bounded(Q, row, most)
+                yield _bounded(Q, row, most)
 
 
-def inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
+def _inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
     """Yield what bounds Q, and what has starts G ζ, |ζ_k| ≤ 1, in its ellipsoid, each G with weights of this name."""
     Q, one = x["Q"], x["1"][:, None, None]
     eye = np.eye(Q.shape[1])
@@ -276,7 +276,7 @@ def inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
         yield one - w.sum(axis=1)[:, None, None]
 
 
-def bounded(Q: Array, row: Array, most: Array) -> Array:
+def _bounded(Q: Array, row: Array, most: Array) -> Array:
     """Return what says that row Q⁻¹ rowᵀ ≤ most."""
     return np.block([[most[:, None, None], row], [row.transpose(0, 2, 1), Q]])
 

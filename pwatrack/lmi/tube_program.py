@@ -86,7 +86,7 @@ class TubeProgram:
     @property
     def count(self) -> int:
         """How many knots there are."""
-        return self.system.parts * (self.knots + 1)
+        return self.clock.count
 
     def _solved(
         self,

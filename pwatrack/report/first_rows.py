@@ -108,8 +108,7 @@ def _proved(
     """Yield what is proved, and the gains, of the loop that runs; if that is not proved, of the ideal one."""
     sampled = [claim.proof is not None for claim in controller.claims_of(SampledLoop)]
     ideal, runs = "ideal loop", any(sampled)
-    settles = any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion))
-    for name, share in ({} if result is None or not runs or settles else result.at_limits).items():
+    for name, share in ({} if result is None or not runs or _settles(controller) else result.at_limits).items():
         if share:
             yield "as sampled", f"{name} is at a limit {percent(share)} of the time, of which nothing is proved"
     for label, text in brief(spec.words, controller):
@@ -122,6 +121,11 @@ def _proved(
         conditions = spec.scenario.conditions
         bounds += " with the plant as designed" * (conditions.plant is not None or conditions.parameters is not None)
         yield "as sampled" if runs else ideal, f"{assessment.condition} {bounds}".lstrip()
+
+
+def _settles(controller: ProvedController) -> bool:
+    """Say whether errors of the sampled loop are proved to settle from the start of the run, limits reached or not."""
+    return any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion))
 
 
 def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: EnsembleResult | None) -> Iterator[Row]:
@@ -186,7 +190,7 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if for_all and covered(spec.objectives.uncertain, conditions):
         yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
         conditions = replace(conditions, plant=None, parameters=None)
-    if any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion)):  # as this one does
+    if _settles(controller):
         conditions = replace(conditions, limits=None)
     limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
