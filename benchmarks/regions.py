@@ -3,13 +3,15 @@
     python -m benchmarks.regions [--plants 50] [--starts 100000]
 
 Random plants of two states with one unstable mode, one input that is limited and the gain of a regulator, two cells.
-The proved ellipse is set against the largest one inside the simulated region, and against that region itself: from its
-points the errors go to 0 in some orders of the cells: each by itself, at random, and those that make a form large.
+The proved region, and the proved ellipse, are set against the largest ellipse inside the simulated region, and against
+that region itself: from its points the errors go to 0 in some orders of the cells: each by itself, at random, and those
+that make a form large.
 Then (e, Δ) from the edge of proved regions, and the errors of sampled loops of the gallery: cells at random, and those
 that make the form largest.
 """
 
 import argparse
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -28,7 +30,9 @@ from pwatrack.control.task import Task
 from pwatrack.lmi.clocked_region import ClockedRegion
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.inequality import CONTROLLER
-from pwatrack.lmi.saturated import SaturatedLoop
+from pwatrack.lmi.polynomial_region import region_around
+from pwatrack.lmi.saturated import Region, SaturatedLoop
+from pwatrack.rational import floats
 from pwatrack.spec.load import load_spec
 from pwatrack.workflow.sizing import spec_sizes
 from tests.test_limits_active import growth, random_loop
@@ -72,10 +76,15 @@ def survives(A: list[Array], B: Array, K: Array, forms: list[Array], z: Array, r
     return np.asarray((np.linalg.norm(z, axis=1) < 0.05 * start).reshape(-1, _ORDERS).all(axis=1))
 
 
+def _rays(P: Array) -> Array:
+    """Return rays, of size 1 in coordinates in which P is I."""
+    angles = np.arange(_RAYS) * np.pi / _RAYS
+    return np.asarray(np.column_stack([np.cos(angles), np.sin(angles)]) @ np.linalg.cholesky(P).T)
+
+
 def simulated(A: list[Array], B: Array, K: Array, P: Array, forms: list[Array], random: np.random.Generator) -> Array:
     """Return how far the region reaches on each ray, in coordinates in which P is I; no further than 100 |K z| = 1."""
-    angles = np.arange(_RAYS) * np.pi / _RAYS
-    rays = np.column_stack([np.cos(angles), np.sin(angles)]) @ np.linalg.cholesky(P).T
+    rays = _rays(P)
     low, high = np.zeros(_RAYS), np.full(_RAYS, 100.0)
     for _ in range(14):
         middle = np.where(low > 0, np.sqrt(np.maximum(low, 1e-9) * high), high / 16)
@@ -102,32 +111,36 @@ def largest_ellipse(reach: Array) -> float:
     return best
 
 
-def areas(seed: int) -> tuple[float, float]:
-    """Return the proved area against the largest ellipse in the simulated region, and against that region."""
+def areas(seed: int) -> tuple[float, ...]:
+    """Return the proved area, and that of the proved ellipse, against the largest ellipse in the simulated region.
+
+    Then both against that region.
+    """
     random = np.random.default_rng(seed)
     A, B, K, P = plant(random)
     balls = [BallMatrix.of(X.round(9)) for X in (*[M + B @ K for M in A], B, K)]
     loop = SaturatedLoop(M=balls[:2], B=balls[2], D=balls[3], inners=[Inner(Q=P, most=0.1)])
-    root, best, form = np.linalg.cholesky(P), 0.0, np.linalg.inv(P)
+    root, best, forms = np.linalg.cholesky(P), dict[bool, float](), [np.linalg.inv(P)]
+    shapes = [np.array([angle, long]) for angle in np.arange(4) * np.pi / 4 for long in (0.0, 1.0, 2.0)]
 
-    def area(shape: Array) -> float:
-        nonlocal best, form
+    def area(shape: Array, ellipse: bool) -> float:
         turn = np.array([[np.cos(shape[0]), -np.sin(shape[0])], [np.sin(shape[0]), np.cos(shape[0])]])
-        found = loop.around(root @ turn @ np.diag([1.0, np.exp(shape[1])]), np.ones(1))
+        G = root @ turn @ np.diag([1.0, np.exp(shape[1])])
+        found = loop.around(G, np.ones(1)) if ellipse else region_around(loop, G, np.ones(1))
         if found is None:
             return 0.0
-        Q = np.array([[float(v.p) / float(v.q) for v in row] for row in found.P.tolist()])
-        size = np.pi * float(np.sqrt(np.linalg.det(Q) / np.linalg.det(P))) / found.sizes[0] ** 2
-        if size > best:
-            best, form = size, np.linalg.inv(Q)
+        size = float((found.reach(_rays(P)) ** 2).sum() * np.pi / _RAYS / found.sizes[0] ** 2)
+        if size > best.get(ellipse, 0.0):
+            best[ellipse] = size
+            forms[1:] = [np.linalg.inv(floats(found.P))] if isinstance(found, Region) else forms[1:]
         return size
 
-    shapes = [np.array([angle, long]) for angle in np.arange(4) * np.pi / 4 for long in (0.0, 1.0, 2.0)]
-    first = max(shapes, key=area)  # of a box of starts: the program makes the box large, not the area
-    minimize(lambda shape: -area(shape), first, method="Nelder-Mead", options={"maxfev": 60})  # type: ignore[call-overload]
-    forms = [np.asarray(X, dtype=np.float64) for X in (np.linalg.inv(P), form)]
-    reach = simulated(A, B, K, P, forms, random)
-    return best / largest_ellipse(reach), best / float((reach**2).sum() * np.pi / _RAYS)
+    for ellipse in (True, False):  # around boxes of some shapes: the program makes the box large, not the area
+        first, most = max(shapes, key=partial(area, ellipse=ellipse)), {"maxfev": 60 if ellipse else 30}
+        minimize(lambda *given: -area(*given), first, (ellipse,), method="Nelder-Mead", options=most)  # type: ignore[call-overload]
+    reach = simulated(A, B, K, P, [np.asarray(X, dtype=np.float64) for X in forms], random)
+    of = largest_ellipse(reach), float((reach**2).sum() * np.pi / _RAYS)
+    return tuple(best[ellipse] / one for one in of for ellipse in (False, True))
 
 
 def carts() -> None:
@@ -191,11 +204,14 @@ def main() -> None:
     given = asked.parse_args()
     carts()
     found = [areas(seed) for seed in range(given.plants)]
-    for k, against in enumerate(("the largest ellipse in the simulated region", "the simulated region")):
-        each = sorted(pair[k] for pair in found)
-        console.print(
-            f"proved area against {against}, {len(each)} plants: median {median(each):.2f}, least {each[0]:.2f}"
-        )
+    pairs = [
+        (f"proved {what}", of)
+        for of in ("the largest ellipse in the simulated region", "the simulated region")
+        for what in ("area", "ellipse")
+    ]
+    for k, (what, of) in enumerate(pairs):
+        each = sorted(one[k] for one in found)
+        console.print(f"{what} against {of}, {len(each)} plants: median {median(each):.2f}, least {each[0]:.2f}")
     for name in ("gallery/cart_and_pole", "two_mass_machine"):
         tried, grown, cut, last = sampled(name, given.starts, np.random.default_rng(1))
         said = f"{tried} starts on the edge of its regions, {cut} times at a limit: V of {grown} grew from tick to tick"

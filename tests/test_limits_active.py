@@ -16,9 +16,12 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.commands.verify import verify
+from pwatrack.lmi import polynomial_region
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.saturated import LimitedGain, Region, SaturatedLoop
+from pwatrack.lmi.polynomial import Monomials
+from pwatrack.lmi.polynomial_region import AnyRegion, PolynomialRegion, region_around, scale_of
+from pwatrack.lmi.saturated import LimitedGain, SaturatedLoop
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
@@ -113,6 +116,12 @@ def test_the_region_is_larger_than_where_no_limit_is_reached_and_is_audited(tmp_
     assert all(active[kind] > 1.3 * scale for kind, scale in never.items())
     call("design", path, "--out", out)
     assert "with inputs at their limits errors go to 0 from 3 boxes of starts" in verify(out, path)
+
+
+def test_a_region_by_an_ellipsoid_is_audited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(polynomial_region, "DEGREES", ())
+    path, out = written(tmp_path, BIG, REFERENCE="0.1*sin(t)", LIMITS="[-2, 2]"), tmp_path / "out"
+    call("design", path, "--out", out)
     content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
     entry = content["regions"][0]
     (h, *rest), *_ = entry["H"]
@@ -131,15 +140,47 @@ def test_the_region_is_larger_than_where_no_limit_is_reached_and_is_audited(tmp_
         assert any(fault in each for each in wrong), (fault, wrong)
 
 
-def growth(loop: SaturatedLoop, found: Region, share: float, random: np.random.Generator, starts: int) -> float:
-    """The most that V grows by in a step from starts on the edge of a region, cells at random, inputs at their limits.
+def test_a_region_by_a_polynomial_is_larger_and_audited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, out = written(tmp_path, BIG, REFERENCE="0.1*sin(t)", LIMITS="[-2, 2]"), tmp_path / "out"
+    call("design", path, "--out", out)
+    content = json.loads((out / "certificate.json").read_text(encoding="utf-8"))
+    larger = scaled(design(load_spec(path)).claim(LimitedRegion))
+    monkeypatch.setattr(polynomial_region, "DEGREES", ())
+    smaller = scaled(design(load_spec(path)).claim(LimitedRegion))
+    assert larger["exact"] > 1.2 * smaller["exact"]
+    assert all(larger[kind] >= smaller[kind] for kind in smaller)
+    entry = content["regions"][0]
+    V, (h, *rest) = entry["V"], entry["H"][0]
+    N = V["N"][0]
+    forged = N | {"integers": [[v + (j == k == 0) for k, v in enumerate(row)] for j, row in enumerate(N["integers"])]}
+    for change, fault in (
+        ({"H": [[str(-float(h)), *rest]]}, "errors can leave it, or do not go to 0"),
+        ({"H": [[str(1.2 * float(h)), *rest]]}, "is not bounded by"),
+        ({"H": []}, "the rows of a region do not fit"),
+        ({"signals": [["input", 0, "1e-06"]]}, "input 0 is not bounded by 1e-06"),
+        ({"signals": [["input", 0, "-10"]]}, "input 0 is not bounded by -10"),
+        ({"starts": [["9000000000", "0"], ["0", "9000000000"]]}, "a start is not in the region"),
+        ({"weights": entry["weights"][1:]}, "the weights of the starts are not positive"),
+        ({"weights": [*entry["weights"][1:], "0.9"]}, "the weights of the starts are not positive"),
+        ({"of": "every"}, "a polynomial holds a region of some starts"),
+        ({"V": V | {"of": "observer"}}, "a polynomial holds a region of some starts"),
+        ({"V": V | {"N": [forged, *V["N"][1:]]}}, "m^T N m is not 0"),
+        ({"V": V | {"N": V["N"][1:]}}, "there is not one N for each different matrix"),
+        ({"V": V | {"degree": "8"}}, "P is not of the order of the monomials"),
+        ({"V": V | {"rate": "100"}}, "the inequality fails"),
+    ):
+        wrong = audit(json.dumps(content | {"regions": [entry | change]}))[1]
+        assert any(fault in each for each in wrong), (fault, wrong)
+
+
+def growth(loop: SaturatedLoop, found: AnyRegion, share: float, random: np.random.Generator, starts: int) -> float:
+    """The most that a gauge grows by in a step from the edge of a region, cells at random, inputs at their limits.
 
     Of room 1 for each input, and of the region that is `share` times as large.
     """
-    Q = share**2 * np.array([[float(v.p) / float(v.q) for v in row] for row in found.P.tolist()])
-    root, B, D = np.linalg.cholesky(Q), loop.B.floats, loop.D.floats
-    z = random.normal(size=(starts, len(Q)))
-    z = z / np.linalg.norm(z, axis=1)[:, None] @ root.T
+    B, D = loop.B.floats, loop.D.floats
+    z = random.normal(size=(starts, len(B)))
+    z = share * found.reach(z)[:, None] * z
     A = np.array([M.floats - B @ D for M in loop.M])
     step = 0.05 / float(np.abs(np.linalg.eigvals([M.floats for M in loop.M])).max())
 
@@ -154,8 +195,8 @@ def growth(loop: SaturatedLoop, found: Region, share: float, random: np.random.G
         k2 = slope(mode, z + step / 2 * k1)
         k3 = slope(mode, z + step / 2 * k2)
         z = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + slope(mode, z + step * k3))
-        V = (np.linalg.solve(root, z.T) ** 2).sum(axis=0)
-        worst, before = max(worst, float((V - before).max())), V
+        gauge = 1 / (share * found.reach(z))
+        worst, before = max(worst, float((gauge - before).max())), gauge
     assert cut > starts / 100
     return worst
 
@@ -184,6 +225,36 @@ def test_no_start_on_the_edge_of_a_region_leaves_it_for_any_switching(seed: int)
     found = loop.around(np.eye(N), np.ones(m))
     assert found is not None
     assert growth(loop, found, 1 / max(found.sizes), random, 200) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_start_on_the_edge_of_a_polynomial_region_leaves_it(seed: int) -> None:
+    """Nor does a start of the box that it is said to be around; degree 4 for two inputs, else 4 or 6."""
+    random = np.random.default_rng(seed)
+    loop = random_loop(random, 2, 1 + seed // 2, 2)
+    N, m = loop.B.shape
+    G = random.normal(size=(N, N)).round(3)
+    ellipsoid, found = loop.around(G, np.ones(m)), region_around(loop, G, np.ones(m))
+    assert ellipsoid is not None
+    assert isinstance(found, PolynomialRegion)
+    assert scale_of(found, np.ones(m)) > scale_of(ellipsoid, np.ones(m))
+    assert growth(loop, found, scale_of(found, np.ones(m)), random, 200) < 1e-9
+    starts = random.uniform(-1, 1, size=(1000, N)) @ G.T
+    assert (found.reach(starts) >= 1).all()
+    edge = found.reach(starts)[:, None] * starts
+    assert (np.abs(edge @ found.H.T) <= found.sizes).all()
+
+
+@pytest.mark.parametrize(("n", "k"), [(2, 3), (3, 1), (4, 2)])
+def test_monomials_of_what_is_put_in_are_those_of_the_result(n: int, k: int) -> None:
+    random, monomials = np.random.default_rng(n), Monomials.of(n, 3)
+    X, v, h = random.normal(size=(n, k)), random.normal(size=k), random.normal(size=n)
+    S = np.array(monomials.substituted(X.tolist())) * monomials.weights[:, None] / Monomials.of(k, 3).weights
+    assert monomials.of_points((X @ v)[None])[0] == pytest.approx(S @ Monomials.of(k, 3).of_points(v[None])[0])
+    z = random.normal(size=n)
+    plain = monomials.of_points(z[None])[0] / monomials.weights
+    assert np.array(monomials.power(h.tolist())) @ plain == pytest.approx(float(h @ z) ** 3)
+    assert monomials.of_points(h[None])[0] @ monomials.of_points(z[None])[0] == pytest.approx(float(h @ z) ** 3)
 
 
 @settings(max_examples=20, deadline=None)

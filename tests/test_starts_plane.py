@@ -1,4 +1,4 @@
-"""Members that start in a plane of two states, beside the ellipses that are proved there."""
+"""Members that start in a plane of two states, beside the regions that are proved there."""
 
 from pathlib import Path
 
@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.path import Path as Outline
 
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.errors import ExitCode, InvalidSpec
 from pwatrack.lmi.ellipsoid import StartEllipsoid
+from pwatrack.lmi.polynomial_region import PolynomialRegion
+from pwatrack.rational import floats
 from pwatrack.report.plots.signals import control_input
 from pwatrack.report.plots.spread import starts_in_plane
 from pwatrack.workflow.variation import EnsembleResult, sections
@@ -70,11 +73,11 @@ def test_from_inside_what_is_proved_every_member_gets_small_and_not_from_everywh
     small = np.array([one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes])
     found = dict(sections(many.nominal.controller, [0, 1]))
     assert list(found) == ["goes to 0, limits reached or not", "no limit is reached"]
-    inside = np.linalg.norm(np.linalg.solve(found["goes to 0, limits reached or not"], off.T), axis=0) <= 1
+    inside = Outline(found["goes to 0, limits reached or not"]).contains_points(off)
     assert inside.sum() > 20
     assert small[inside].all()
     assert not small.all()
-    never = np.linalg.norm(np.linalg.solve(found["no limit is reached"], off.T), axis=0) <= 1
+    never = Outline(found["no limit is reached"]).contains_points(off)
     most = np.array([figures.largest_input["F"] for figures in many.figures])
     assert never.any()
     assert most[never].max() <= 1
@@ -83,21 +86,26 @@ def test_from_inside_what_is_proved_every_member_gets_small_and_not_from_everywh
 
 @given(angle=st.floats(0, 2 * np.pi))
 @settings(max_examples=20)
-def test_a_section_is_where_the_ellipsoid_meets_the_plane(angle: float, result: Result) -> None:
-    """On its edge the form of the ellipsoid, scaled for the limits, is 1."""
+def test_an_outline_is_where_the_region_meets_the_plane(angle: float, result: Result) -> None:
+    """On its edge the form of the ellipsoid, or the polynomial, scaled for the limits, is 1."""
     claim = result.controller.claim(LimitedRegion)
     left = claim.room.spare
     assert left is not None
+    seen = set()
     for one in claim.found:
-        C = one.section(left, [1, 0])
-        if C is None or one.held is None:
-            continue
-        assert isinstance(one.held, StartEllipsoid)
-        v, z = C @ [np.cos(angle), np.sin(angle)]
-        start = np.zeros(len(one.held.exponents))
-        start[:2] = z, v
-        Q = np.array([[float(v.p) / float(v.q) for v in row] for row in one.held.P.tolist()])
-        assert start @ np.linalg.solve(Q, start) == pytest.approx(one.scale(left) ** 2, rel=1e-6)
+        edge = one.outline(left, [1, 0], np.array([[np.cos(angle), np.sin(angle)]]))
+        assert edge is not None
+        start = np.zeros(3 if one.starts.delta is None else 6)
+        start[[1, 0]] = edge[0]
+        if isinstance(one.held, PolynomialRegion):
+            z, P = one.held.proof.T @ start, floats(one.held.proof.P)
+            m = [np.prod(z**a) for a in one.held.proof.monomials.exponents]
+            assert m @ P @ m == pytest.approx(one.scale(left) ** one.held.proof.degree, rel=1e-6)
+        else:
+            assert isinstance(one.held, StartEllipsoid)
+            assert start @ np.linalg.solve(floats(one.held.P), start) == pytest.approx(one.scale(left) ** 2, rel=1e-6)
+        seen.add(type(one.held))
+    assert PolynomialRegion in seen
 
 
 def test_the_picture_shows_each_member_and_what_is_proved(many: EnsembleResult) -> None:
@@ -107,8 +115,8 @@ def test_the_picture_shows_each_member_and_what_is_proved(many: EnsembleResult) 
     assert [line.get_label() for line in axes.lines] == [
         f"proved: {said}" for said, _ in sections(many.nominal.controller, [0, 1])
     ]
-    for line, (_, C) in zip(axes.lines, sections(many.nominal.controller, [0, 1]), strict=True):
-        assert np.linalg.norm(np.linalg.solve(C, points(line).T), axis=0) == pytest.approx(1)
+    for line, (_, edge) in zip(axes.lines, sections(many.nominal.controller, [0, 1]), strict=True):
+        assert (points(line) == edge).all()
     assert axes.get_xlabel() == "z − z_d (m)"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, up
 from pwatrack.claims.cost import Costs
-from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
+from pwatrack.claims.exact_text import proof_content, read_proof
 from pwatrack.claims.limits import NoSaturation, ideal
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.stable_inversion import StableInversion
@@ -19,13 +19,11 @@ from pwatrack.control.guarantees import Contraction
 from pwatrack.control.words import Words, all_cells, down, load_kind, matrix_text
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.dichotomy import Dichotomy
-from pwatrack.lmi.exact import Proof
-from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
-from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
+from pwatrack.lmi.polynomial import AnyProof
 
 _LINE = 68  # letters of gains on the first screen: what takes more is left to its file
 _NO_GAIN = {"K": "no gain: the input does nothing", "L": "no gain: the output shows nothing"}
-_ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +59,7 @@ class Decay(Claim):
         found, generator = list[AnyProof | Dichotomy](controller.proofs), controller.generator
         if generator is not None and isinstance(generator.certificate, Dichotomy):
             found.append(generator.certificate)
-        return {"proofs": [_content(proof) for proof in found]}
+        return {"proofs": [proof_content(proof) for proof in found]}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         return {"figures": gain_figures(controller)}
@@ -107,7 +105,7 @@ def in_a_line(words: Words, K: Array, name: str, other: Array, where: str) -> st
 
 def read_proofs(content: Mapping[str, Any]) -> list[AnyProof | Dichotomy]:
     """Return the proofs of (8), (9) and (17) that a certificate holds."""
-    return [_read(proof) for proof in content["proofs"] if kind(proof) != "cost"]
+    return [read_proof(proof) for proof in content["proofs"] if kind(proof) != "cost"]
 
 
 def ends_below(words: Words, controller: ProvedController) -> list[dict[str, Any]]:
@@ -243,33 +241,3 @@ def _rate(proved: Sequence[Contraction]) -> str:
     best = max(proved, key=lambda p: p.rate)
     by = f" by a polynomial of degree {best.degree}" if best.degree > 2 else ""
     return f"{by}, rate {down(best.rate)} 1/s"
-
-
-def _content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
-    P = packed(proof.integers, proof.exponents)
-    if isinstance(proof, PolynomialProof):
-        N, told = [packed(N, proof.N_exponents) for N in proof.N], {"degree": proof.degree, "rate": decimal(proof.rate)}
-        return {"of": proof.role.name, **told, "T": decimal_texts(proof.T), "P": P, "N": N}
-    if isinstance(proof, Dichotomy):
-        return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
-    told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}
-    return {"of": proof.role.name, **told, "P": P}
-
-
-def _read(proof: Any) -> AnyProof | Dichotomy:
-    role, P = _ROLES[proof["of"]], whole(proof["P"])
-    if kind(proof) == "polynomial":
-        each = [whole(N) for N in proof["N"]]
-        return PolynomialProof(
-            role=role,
-            degree=int(proof["degree"]),
-            rate=double(proof["rate"]),
-            T=doubles(proof["T"]),
-            N=tuple(N["integers"] for N in each),
-            N_exponents=each[0]["exponents"],
-            **P,
-        )
-    if kind(proof) == "P of any sign":
-        return Dichotomy(role=role, margin=double(proof["margin"]), **P)
-    rate, margin, radius = (double(proof[name]) for name in ("rate", "margin", "radius"))
-    return Proof(role=role, rate=rate, margin=margin, radius=radius, **P)

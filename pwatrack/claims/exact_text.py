@@ -10,14 +10,20 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.bounds import Bounds, Channel, Form, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
+from pwatrack.lmi.audit.shape import kind
+from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.ellipsoid import InvariantEllipsoid
+from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.peak_gain import PeakGain
+from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.model.loads import Loads
 from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Real
 
+_ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
 
@@ -123,6 +129,38 @@ def read_bounds(entry: Any) -> Bounds:
 def read_channel(channel: Any) -> Channel:
     """Return a channel that was written as a list."""
     return channel[0], channel[1]
+
+
+def proof_content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
+    """Return the proof of an inequality."""
+    P = packed(proof.integers, proof.exponents)
+    if isinstance(proof, PolynomialProof):
+        N, told = [packed(N, proof.N_exponents) for N in proof.N], {"degree": proof.degree, "rate": decimal(proof.rate)}
+        return {"of": proof.role.name, **told, "T": decimal_texts(proof.T), "P": P, "N": N}
+    if isinstance(proof, Dichotomy):
+        return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
+    told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}
+    return {"of": proof.role.name, **told, "P": P}
+
+
+def read_proof(proof: Any) -> AnyProof | Dichotomy:
+    """Return what was written by `proof_content`."""
+    role, P = _ROLES[proof["of"]], whole(proof["P"])
+    if kind(proof) == "polynomial":
+        each = [whole(N) for N in proof["N"]]
+        return PolynomialProof(
+            role=role,
+            degree=int(proof["degree"]),
+            rate=double(proof["rate"]),
+            T=doubles(proof["T"]),
+            N=tuple(N["integers"] for N in each),
+            N_exponents=each[0]["exponents"],
+            **P,
+        )
+    if kind(proof) == "P of any sign":
+        return Dichotomy(role=role, margin=double(proof["margin"]), **P)
+    rate, margin, radius = (double(proof[name]) for name in ("rate", "margin", "radius"))
+    return Proof(role=role, rate=rate, margin=margin, radius=radius, **P)
 
 
 def plant_content(plant: PWASystem) -> dict[str, Any]:

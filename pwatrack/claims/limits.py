@@ -30,6 +30,7 @@ from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.clocked_region import ClockedRegion
 from pwatrack.lmi.ellipsoid import StartEllipsoid, held
+from pwatrack.lmi.polynomial_region import PolynomialRegion
 
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
@@ -42,7 +43,7 @@ class StartGuarantee:
         starts: Which.
         loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
         inputs: Those that have limits, or places in `forms`.
-        held: The ellipsoid; None where none of them is moved.
+        held: The ellipsoid, or what stands for it; None where none of them is moved.
         loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
         forms: What it is about where it is not about inputs.
         before: Starts as its loop has them, where that is of more than (e, Δ, σ); else None.
@@ -51,7 +52,7 @@ class StartGuarantee:
     starts: Starts
     loop: Loop
     inputs: tuple[int, ...]
-    held: StartEllipsoid | ClockedRegion | None
+    held: StartEllipsoid | ClockedRegion | PolynomialRegion | None
     loads: tuple[float, ...]
     forms: tuple[Form, ...] = ()
     before: Array | None = None
@@ -71,15 +72,17 @@ class StartGuarantee:
         moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
         return {k: float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size}
 
-    def section(self, left: Array, plane: Sequence[int]) -> Array | None:
-        """Return C, (2, 2): x − x_d = C w with |w| ≤ 1 in two states, all other errors 0, is a start that it is about.
+    def outline(self, left: Array, plane: Sequence[int], directions: Array) -> Array | None:
+        """Return how far x − x_d may be off in two states, all other errors 0, along directions (s, 2): points (s, 2).
 
-        None where it is about none, or about all.
+        None where it is about no such start, or about all.
         """
         scale = self.scale(left)
         if self.held is None or not 0 < scale < np.inf:
             return None
-        return np.asarray(scale * np.linalg.cholesky(np.linalg.inv(self.held.form[np.ix_(plane, plane)])))
+        rays = np.zeros((len(directions), len(self.starts.G if self.before is None else self.before)))
+        rays[:, plane] = directions
+        return np.asarray(scale * self.held.reach(rays)[:, None] * directions)
 
     def said(self, left: Array, *, loads: bool) -> str:
         """Say from which starts it is that each |u − u_ff| ≤ left, (m,), of a plant with or without loads."""
@@ -312,10 +315,10 @@ def loads_at(loops: Loops, starts: Starts, inputs: Sequence[int]) -> tuple[float
     return tuple(float(acting[at == k].sum()) if acting.any() else 0.0 for k in inputs)
 
 
-def read_ellipsoid(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of an ellipsoid of starts that a certificate holds."""
+def read_sizes(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the weights of starts, and the sizes, that a certificate holds."""
     sizes = tuple(size for _, size in read_signals(entry["signals"]))
-    return {**whole(entry["Q"]), "weights": tuple(map(double, entry["weights"])), "sizes": sizes}
+    return {"weights": tuple(map(double, entry["weights"])), "sizes": sizes}
 
 
 def known_before(
@@ -327,7 +330,7 @@ def known_before(
         for entry in content["limits"]
         if (entry["signals"][0][0] in ("input", "drive")) == (of == "input")
     }
-    known = {kind: StartEllipsoid(**read_ellipsoid(entry)) for kind, entry in entries.items()}
+    known = {kind: StartEllipsoid(**whole(entry["Q"]), **read_sizes(entry)) for kind, entry in entries.items()}
     return [nearby(one, entries) for one in starts], known
 
 

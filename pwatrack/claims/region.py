@@ -13,7 +13,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
-from pwatrack.claims.exact_text import decimal_texts, doubles
+from pwatrack.claims.exact_text import decimal_texts, doubles, packed, proof_content, read_proof, whole
 from pwatrack.claims.limits import (
     NoSaturation,
     StartGuarantee,
@@ -21,13 +21,15 @@ from pwatrack.claims.limits import (
     loads_at,
     loops_of,
     nearby,
-    read_ellipsoid,
+    read_sizes,
     taken_off,
 )
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.words import Words, down, matrix_text
+from pwatrack.lmi.polynomial import PolynomialProof
+from pwatrack.lmi.polynomial_region import AnyRegion, PolynomialRegion, region_around
 from pwatrack.lmi.saturated import MOST_WORK, Region, SaturatedLoop
 
 _TRIES = 3  # of how the room of several inputs is shared with their loads
@@ -40,7 +42,7 @@ class LimitedRegion(Claim):
 
     Attributes:
         room: What the feedforward leaves.
-        found: What is proved of some starts, each by a `Region`.
+        found: What is proved of some starts, each by a `Region` or a `PolynomialRegion`.
         missing: Why it is of none; "" where it is of some.
     """
 
@@ -53,7 +55,8 @@ class LimitedRegion(Claim):
         "s), B its way into z, M the matrices of z: Q > 0 and sym((M + B_S (H_S - D_S)) Q) < 0 for all M and all sets "
         "S of the inputs with limits; z^T Q^-1 z <= 1 at the starts, |H z| <= the sizes there. So z goes to 0 from "
         "starts scaled by c with u cut off anywhere beyond c times these sizes and loads; with H = 0 and no starts, "
-        "from all."
+        "from all. With V in place of Q: V falls along all M_e = M + B_S (H_S - D_S) as under proofs with a degree 2 "
+        "d, V(starts v) <= the sum of weights_a v^2a <= 1, v^a the monomials of degree d, and (H z)^2d <= sizes^2d V."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"regions": []}
 
@@ -76,15 +79,15 @@ class LimitedRegion(Claim):
         starts = () if missing else (every(controller), *(nearby(one, entries) for one in room.starts))
         for one in starts:
             if (entry := entries.get(one.kind)) is not None:
-                held = Region(H=np.asarray(doubles(entry["H"])), **read_ellipsoid(entry))
-                found.append(_of(loops_of(controller), one, room, held))
+                found.append(_of(loops_of(controller), one, room, _read(entry)))
         yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return ellipsoids and rows H, and the gain of least cost where another one took its place."""
-        entries = [one.data | {"H": decimal_texts(one.held.H)} for one in self.found if isinstance(one.held, Region)]
         cheaper = controller.design.cheaper
-        return {"regions": entries} | ({} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)})
+        return {"regions": [one.about | _content(one.held) for one in self.found]} | (
+            {} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)}
+        )
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return by which scale starts may be off."""
@@ -194,13 +197,29 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
     return tuple(found)
 
 
+def _content(held: Any) -> dict[str, Any]:
+    form = (
+        {"V": proof_content(held.proof)} if isinstance(held, PolynomialRegion) else {"Q": packed(*held.parts.values())}
+    )
+    return form | {"H": decimal_texts(held.H)}
+
+
+def _read(entry: Mapping[str, Any]) -> AnyRegion:
+    H = np.asarray(doubles(entry["H"]))
+    if "Q" in entry:
+        return Region(H=H, **whole(entry["Q"]), **read_sizes(entry))
+    proof = read_proof(entry["V"])
+    assert isinstance(proof, PolynomialProof)
+    return PolynomialRegion(proof=proof, H=H, **read_sizes(entry))
+
+
 def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) -> StartGuarantee | None:
     """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion."""
     left, inputs = room.spare, list(room.inputs)
     assert left is not None
     loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
     for _ in range(_TRIES if loads.any() else 1):
-        held = loop.around(starts.G, np.maximum(left[inputs] - share * loads, 0.0))
+        held = region_around(loop, starts.G, np.maximum(left[inputs] - share * loads, 0.0))
         if held is None:
             break
         found = _of(loops, starts, room, held)
@@ -209,7 +228,7 @@ def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) 
     return best
 
 
-def _of(loops: Loops, starts: Starts, room: Headroom, held: Region) -> StartGuarantee:
+def _of(loops: Loops, starts: Starts, room: Headroom, held: AnyRegion) -> StartGuarantee:
     loop: Loop = "joint" if starts.delta is not None and starts.kind != "every" else "controller"
     inputs = room.inputs
     loads = (0.0,) * len(inputs) if starts.kind == "every" else loads_at(loops, starts, inputs)

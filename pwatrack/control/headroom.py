@@ -18,6 +18,7 @@ from pwatrack.control.demand import Demand
 from pwatrack.control.task import Task
 from pwatrack.lmi.ellipsoid import Inner, held
 from pwatrack.lmi.exact import Certificate
+from pwatrack.lmi.polynomial_region import region_around, scale_of
 from pwatrack.lmi.saturated import MOST_WORK, SaturatedLoop
 from pwatrack.model.sizes import Sizes
 
@@ -138,10 +139,11 @@ class InputConstraint:
         loop = SaturatedLoop(M=closed, B=B, D=rows, inners=[inner])
         if self.over > 1 and (loop.work > MOST_WORK or loop.everywhere() is not None):
             return np.inf
-        found = [loop.around(G, left) if self.over > 1 else held(closed, G, rows, left, inner) for G in self.starts]
-        some = left > 0  # where nothing is left H is 0
-        shares = [0.0 if one is None else float(1 / (np.array(one.sizes)[some] / left[some]).max()) for one in found]
-        return min(shares)
+        if self.over > 1:
+            regions = [region_around(loop, G, left, enough=1.0) for G in self.starts]
+            return min(0.0 if one is None else scale_of(one, left) for one in regions)
+        kept = [held(closed, G, rows, left, inner) for G in self.starts]
+        return min(0.0 if one is None else scale_of(one, left) for one in kept)
 
 
 @dataclass(frozen=True, kw_only=True)

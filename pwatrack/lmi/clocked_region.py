@@ -29,7 +29,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
-from pwatrack.lmi.ellipsoid import short_weights
+from pwatrack.lmi.ellipsoid import reach_of, short_weights
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.norm import square_above
 from pwatrack.lmi.primal_dual import least
@@ -58,6 +58,10 @@ class ClockedRegion:
     def form(self) -> Array:
         """P_N of the last part, (n, n)."""
         return floats(self.P[-1].P)
+
+    def reach(self, rays: Array) -> Array:
+        """Return how far the region reaches along rays (s, n), before a tick."""
+        return reach_of(self.form, rays)
 
 
 @dataclass(frozen=True, kw_only=True)

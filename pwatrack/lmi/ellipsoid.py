@@ -263,10 +263,14 @@ class StartEllipsoid(Packed):
     weights: tuple[float, ...]  # w_k, short decimals; one for each column of G
     sizes: tuple[float, ...]  # one for each c, rounded up
 
-    @property
-    def form(self) -> Array:
-        """Q⁻¹."""
-        return np.asarray(np.linalg.inv(floats(self.P)))
+    def reach(self, rays: Array) -> Array:
+        """Return how far the ellipsoid reaches along rays (s, N)."""
+        return reach_of(np.asarray(np.linalg.inv(floats(self.P)), dtype=np.float64), rays)
+
+
+def reach_of(form: Array, rays: Array) -> Array:
+    """Return how far {z: zᵀ form z ≤ 1} reaches along rays (s, N)."""
+    return np.asarray(np.einsum("sj,jk,sk->s", rays, form, rays) ** -0.5)
 
 
 def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inner: Inner) -> StartEllipsoid | None:

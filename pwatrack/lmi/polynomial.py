@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations_with_replacement
 from math import comb, factorial, prod
+from typing import Any
 
 import flint
 import numpy as np
@@ -113,6 +114,28 @@ class Monomials:
             found[row, column] += times * A[j, k]
         return found
 
+    def of_points(self, z: Array) -> Array:
+        """Return the monomials in weights at points (s, n), (s, N); those of h, z are such that (h z)^d = h_m z_m."""
+        return np.asarray(np.prod(z[:, None, :] ** np.array(self.exponents), axis=2) * self.weights)
+
+    def power(self, h: Sequence[Any]) -> list[Any]:
+        """Return the coefficients of (h z)^d, of the monomials z^a, for a row of numbers of any kind."""
+        return [
+            times * prod(v**k for v, k in zip(h, a, strict=True))
+            for times, a in zip(self.squares, self.exponents, strict=True)
+        ]
+
+    def substituted(self, X: Sequence[Sequence[Any]]) -> list[list[Any]]:
+        """Return S with m(X v) = S m(v), of the monomials z^a and v^b, for X (n, k) of numbers of any kind."""
+        others = Monomials.of(len(X[0]), self.d)
+        found = []
+        for a in self.exponents:
+            product: dict[Exponents, Any] = {(0,) * others.n: 1}
+            for row in [row for row, times in zip(X, a, strict=True) for _ in range(times)]:
+                product = _times(product, row)
+            found.append([product.get(b, 0) for b in others.exponents])
+        return found
+
     @cached_property
     def products(self) -> Mapping[Exponents, tuple[tuple[int, int], ...]]:
         """The pairs (a, b), a ≤ b, of monomials with each product."""
@@ -134,6 +157,16 @@ class Monomials:
         rows = [row for _, places in columns for row in places]
         ends = np.cumsum([0, *(len(places) for _, places in columns)])
         return sparse.csc_matrix((entries, rows, ends), shape=(len(self) * (len(self) + 1) // 2, len(columns)))
+
+
+def _times(polynomial: Mapping[Exponents, Any], row: Sequence[Any]) -> dict[Exponents, Any]:
+    """Return a polynomial in v times row v."""
+    found: dict[Exponents, Any] = {}
+    for a, value in polynomial.items():
+        for k, factor in enumerate(row):
+            b = (*a[:k], a[k] + 1, *a[k + 1 :])
+            found[b] = found.get(b, 0) + value * factor
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,6 +32,7 @@ Over = Literal["initial", "parameters", "noise", "plane"]
 _MOST_KEPT = 250_000_000  # tracking errors: 2 GB
 _PARTS = 4  # of an ensemble for each worker: they need not take the same time
 _SPREAD = 0.05  # of the value of a parameter
+_POINTS = 400  # of the edge of a region
 _BEYOND = 1.2  # of what is proved of starts: how far those in a plane go
 
 
@@ -266,8 +267,8 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
     loop, plane = result.loop, list(result.spec.scenario.plane)
     if plane[0] == plane[1]:
         raise InvalidSpec("the plant has one state: there is no plane", subject=None, hint="'--over initial'")
-    ellipses = [C for _, C in sections(result.controller, plane)]
-    sizes = [np.linalg.norm(C, axis=1) for C in ellipses] or [np.abs(result.response.x[:, plane]).max(axis=0)]
+    edges = [edge for _, edge in sections(result.controller, plane)]
+    sizes = [np.abs(edge).max(axis=0) for edge in edges] or [np.abs(result.response.x[:, plane]).max(axis=0)]
     most = _BEYOND * np.max(sizes, axis=0)
     random = np.random.default_rng([seed, 5])
     errors, starts = random.uniform(-most, most, size=(count, 2)), np.tile(result.start, (count, 1))
@@ -286,16 +287,24 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
 
 
 def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tuple[str, Array]]:
-    """Yield what is proved of starts with limits, and the largest ellipse of it in a plane: see `section`."""
+    """Yield what is proved of starts with limits, and the edge of the largest region of it in a plane, (s, 2)."""
+    angles = np.linspace(0, 2 * np.pi, _POINTS)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)]) * controller.sizes.state[list(plane)]
     reached: Sequence[LimitedRegion | SampledRegion] = controller.claims_of(SampledRegion)
     reached = reached or controller.claims_of(LimitedRegion)
     kinds = [("goes to 0, limits reached or not", one.room.spare, one.found) for one in reached]
     kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
     for said, left, guarantees in kinds:
-        found = (one.section(left, plane) for one in guarantees) if left is not None else ()
-        roots = [C for C in found if C is not None]
-        if roots:
-            yield said, max(roots, key=lambda C: float(np.linalg.det(C)))
+        found = (one.outline(left, plane, circle) for one in guarantees) if left is not None else ()
+        edges = [edge for edge in found if edge is not None]
+        if edges:
+            yield said, max(edges, key=_area)
+
+
+def _area(edge: Array) -> float:
+    """Return the area inside a closed line of points (s, 2)."""
+    x, y = edge.T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
 _VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise, "plane": starts_in_a_plane}

@@ -1,7 +1,7 @@
 """Polynomials of even degree in place of a common P."""
 
 from fractions import Fraction
-from math import comb
+from math import comb, factorial, prod
 from typing import Any
 
 from .balls import Ball, falls, unlike
@@ -57,6 +57,32 @@ def lifted(A: Matrix, monomials: list[Exponents]) -> Matrix:
                 b[k] += 1
                 line[at[tuple(b)]] += power * A[j][k]
     return F
+
+
+def coefficients(row: list[Fraction], monomials: list[Exponents]) -> list[Fraction]:
+    """Return the coefficients of (row z)^d."""
+    spend(len(monomials) * len(row) * 4)
+    powers = [[v**k for k in range(sum(monomials[0]) + 1)] for v in row]
+    return [
+        factorial(sum(a)) // prod(map(factorial, a)) * prod((powers[j][k] for j, k in enumerate(a)), start=Fraction(1))
+        for a in monomials
+    ]
+
+
+def substituted(X: Matrix, monomials: list[Exponents], others: list[Exponents]) -> Matrix:
+    """Return S with m(X v) = S m(v) for the monomials of as many variables as X has rows, and as it has columns."""
+    found = list[list[Fraction]]()
+    for a in monomials:
+        terms: dict[Exponents, Fraction] = {(0,) * len(X[0]): Fraction(1)}
+        for row in [row for row, times in zip(X, a, strict=True) for _ in range(times)]:
+            before, terms = terms, {}
+            spend(len(before) * len(row) * 4)
+            for b, value in before.items():
+                for k, factor in enumerate(row):
+                    c = (*b[:k], b[k] + 1, *b[k + 1 :])
+                    terms[c] = terms.get(c, Fraction(0)) + value * factor
+        found.append([terms.get(b, Fraction(0)) for b in others])
+    return found
 
 
 def vanishes(N: Matrix, monomials: list[Exponents]) -> bool:

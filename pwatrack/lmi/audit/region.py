@@ -1,18 +1,21 @@
-"""From which starts errors go to 0 although inputs are cut off at limits: ellipsoids in which forms fall."""
+"""From which starts errors go to 0 although inputs are cut off at limits: regions in which forms fall."""
 
 from itertools import product as choices
 from typing import Any
 
 from .balls import Ball, falls, stacked
 from .bounds import Loop
-from .matrices import AuditFault, definite, identity
-from .reading import distinct, matrix, packed
-from .shape import ROWS
+from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
+from .polynomials import coefficients, exponents, polynomial, substituted
+from .reading import distinct, matrix, number, packed
+from .shape import PROOFS, ROWS
 from .starts import SHAPE as STARTS
-from .starts import around, bounded, kind_of, loop_of
+from .starts import around, bounded, kind_of, loop_of, starts_of
 
 KEY = "regions"
-SHAPE = [STARTS[0] | {"H": ROWS}]
+BY_ELLIPSOID = STARTS[0] | {"H": ROWS}
+BY_POLYNOMIAL = {key: shape for key, shape in BY_ELLIPSOID.items() if key != "Q"} | {"V": PROOFS["polynomial"]}
+SHAPE = [(BY_ELLIPSOID, BY_POLYNOMIAL)]
 
 
 def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
@@ -28,13 +31,19 @@ def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
 
 def wrong(loop: Loop, entry: Any) -> list[str]:
     """Return what is wrong with one region."""
-    name, (Q, powers), H = loop_of(entry), packed(entry["Q"]), matrix(entry["H"])
-    wanted = kind_of(loop, name)
+    name, H = loop_of(entry), matrix(entry["H"])
+    wanted, matrices = kind_of(loop, name), loop.matrices(name)
     inputs = [k for _, k, _ in entry["signals"]]
     if not inputs:
         raise AuditFault("a region of no input")
-    if len(H) != len(inputs) or any(len(row) != len(Q) for row in H):
+    if len(H) != len(inputs) or any(len(row) != len(matrices[0][0]) for row in H):
         raise AuditFault("the rows of a region do not fit")
+    limited = vertices(loop, name, wanted, matrices, inputs, H)
+    if "V" in entry:
+        return by_polynomial(entry, wanted, limited, H)
+    Q, powers = packed(entry["Q"])
+    if len(Q) != len(H[0]):
+        raise AuditFault("the form of a region does not fit")
     faults = bounded(entry, (wanted,), [Ball([row]) for row in H], Q)
     if entry["of"] == "every":
         if entry["weights"] or any(map(any, H)) or name != "controller":
@@ -42,15 +51,47 @@ def wrong(loop: Loop, entry: Any) -> list[str]:
         faults += [] if definite(Q) else ["its form is not positive definite"]
     else:
         faults += around(entry, Q)
-    nothing = identity(1, 0)[0] * len(inputs)
-    for M in loop.matrices(name):
-        for chosen in choices((0, 1), repeat=len(inputs)):
-            X = M
-            for k, row, is_chosen in zip(inputs, H, chosen, strict=True):
-                if is_chosen:
-                    enters = loop.plant.B.column(k)
-                    zero = [nothing[:1]] * (len(Q) - len(enters.centre))
-                    X += (stacked(enters, Ball(zero)) if zero else enters) @ (Ball([row]) - loop.row(name, wanted, k))
-            if not falls(X, Q, powers, None):
-                faults.append("errors can leave it, or do not go to 0")
+    return faults + [LEFT for X in limited if not falls(X, Q, powers, None)]
+
+
+LEFT = "errors can leave it, or do not go to 0"
+
+
+def vertices(loop: Loop, name: str, wanted: str, matrices: list[Ball], inputs: list[int], H: Matrix) -> list[Ball]:
+    """Return the matrices of the loop with rows H in place of what inputs are made of, for all sets of inputs."""
+    found, nothing, order = list[Ball](), identity(1, 0)[0], len(H[0])
+    for chosen in choices((0, 1), repeat=len(inputs)):
+        change = None
+        for k, row, is_chosen in zip(inputs, H, chosen, strict=True):
+            if is_chosen:
+                enters = loop.plant.B.column(k)
+                zero = [nothing] * (order - len(enters.centre))
+                one = (stacked(enters, Ball(zero)) if zero else enters) @ (Ball([row]) - loop.row(name, wanted, k))
+                change = one if change is None else change + one
+        found += [M if change is None else M + change for M in matrices]
+    return found
+
+
+def by_polynomial(entry: Any, wanted: str, limited: list[Ball], H: Matrix) -> list[str]:
+    """Return what is wrong with a region {V <= 1}, V = m^T P m, m the monomials of degree d of z = T e."""
+    proof = entry["V"]
+    if entry["of"] == "every" or proof["of"] != "controller":
+        raise AuditFault("a polynomial holds a region of some starts, of the loop as it is")
+    faults = [f"{LEFT}: {fault}" for fault in polynomial(limited, [], proof, None)]
+    P, T = packed(proof["P"])[0], matrix(proof["T"])
+    d = int(number(proof["degree"]) / 2)
+    monomials, back = exponents(len(T), d), Ball(T).inverse().centre
+    G, weights = starts_of(entry, len(T), d)
+    S = substituted(product(T, G), monomials, exponents(len(G[0]), d))
+    box = [[w * (j == k) for k in range(len(weights))] for j, w in enumerate(weights)]
+    inside = definite(added(box, product(transposed(S), product(P, S)), -1))
+    faults += [] if inside else ["a start is not in the region"]
+    distinct([signal[:2] for signal in entry["signals"]], "a signal")
+    if any(kind != wanted for kind, *_ in entry["signals"]):
+        raise AuditFault(f"limits are said of '{wanted}' here")
+    for (kind, k, size), row in zip(entry["signals"], H, strict=True):
+        h, most = coefficients(product([row], back)[0], monomials), number(size) ** (2 * d)
+        larger = [[most * P[i][j] - a * b for j, b in enumerate(h)] for i, a in enumerate(h)]
+        if number(size) < 0 or (any(row) and not definite(larger)):
+            faults.append(f"{kind} {k} is not bounded by {size}")
     return faults

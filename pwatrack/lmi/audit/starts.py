@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from fractions import Fraction
+from math import comb
 from typing import Any
 
 from .balls import Ball, falls
@@ -51,13 +52,19 @@ def kind_of(loop: Loop, name: str) -> str:
 
 def around(entry: Any, Q: Matrix) -> list[str]:
     """Return what is wrong with an ellipsoid that is to be around a box of starts."""
-    G, weights = matrix(entry["starts"]), [number(w) for w in entry["weights"]]
-    fits = weights and min(weights) > 0 and sum(weights) <= 1 and len(G) == len(Q)
-    if not fits or any(len(row) != len(weights) for row in G):
-        raise AuditFault("the weights of the starts are not positive, or more than 1 together")
+    G, weights = starts_of(entry, len(Q), 1)
     widened = [[v / w for v, w in zip(row, weights, strict=True)] for row in G]
     inside = definite(Q) and definite(added(Q, product(widened, transposed(G)), -1))
     return [] if inside else ["a start is not in the ellipsoid"]
+
+
+def starts_of(entry: Any, order: int, d: int) -> tuple[Matrix, list[Fraction]]:
+    """Return G of starts, and positive weights of sum 1 at most, one for each monomial of degree d of its columns."""
+    G, weights = matrix(entry["starts"]), [number(w) for w in entry["weights"]]
+    fits = weights and min(weights) > 0 and sum(weights) <= 1 and len(G) == order and len({*map(len, G)}) == 1
+    if not fits or comb(len(G[0]) + d - 1, d) != len(weights):
+        raise AuditFault("the weights of the starts are not positive, or more than 1 together")
+    return G, weights
 
 
 def bounded(entry: Any, wanted: Sequence[str], rows: list[Ball], Q: Matrix) -> list[str]:

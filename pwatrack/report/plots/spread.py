@@ -49,7 +49,6 @@ _COLOURS = {  # of verdicts
     "lost": "#000000",
     "crashed": "#b42318",
 }
-_POINTS = 400  # of an ellipse
 _ROOM = 1.05  # of what is shown of a plane
 _SMALL: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": "0.45", "linewidths": 0.8}
 _OFF: dict[str, Any] = {"s": 16, "marker": "x", "color": "#a3195b", "linewidths": 0.9}
@@ -238,7 +237,7 @@ def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> Sc
 
 
 def starts_in_plane(many: EnsembleResult) -> Figure:
-    """Draw where members in a plane start and how they end, and the ellipses that are proved there."""
+    """Draw where members in a plane start and how they end, and the regions that are proved there."""
     result, plane = many.nominal, list(many.nominal.spec.scenario.plane)
     names = [result.controller.plant.states[k] for k in plane]
     title = f"Starts in a plane, x̂ = x, all other errors 0: {len(many.outcomes):,} members, and what is proved"
@@ -248,11 +247,10 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
     for which, said, style in ((small, "gets small", _SMALL), (~small, "does not, in this run", _OFF)):
         if which.any():
             axes.scatter(starts[which, 0], starts[which, 1], label=said, **style)
-    angles = np.linspace(0, 2 * np.pi, _POINTS)
-    circle, seen = np.column_stack([np.cos(angles), np.sin(angles)]), [starts]
-    for said, C in sections(result.controller, plane):
-        axes.plot(*(C @ circle.T), label=f"proved: {said}", **_PROVED[said])
-        seen.append(circle @ C.T)
+    seen = [starts]
+    for said, edge in sections(result.controller, plane):
+        axes.plot(*edge.T, label=f"proved: {said}", **_PROVED[said])
+        seen.append(edge)
     units = result.spec.problem.units
     texts = [f"{name} − {name}_d" + (f" ({units[name]})" if units.get(name) else "") for name in names]
     most = _ROOM * np.abs(np.vstack(seen)).max(axis=0)
