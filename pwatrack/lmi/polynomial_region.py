@@ -46,8 +46,9 @@ _LEAST = 1e-5  # of P, where the region is of size 1
 _STEPS, _TRUST, _LITTLE = 8, 0.3, 0.02  # changes of H: how many, and how large the first and the last may be
 _GAIN = 1.002  # of Σ w, which is scale^−2d: below it no further change of H is tried
 _WORTH = 1.05  # times as much of the starts: with less another H is not worth what the region loses by it
-_WIDER, _GIVEN = 2, 1.002  # times that the region is made larger, for so much of Σ w
+_WIDER, _GIVEN = 2, 1.0005  # times that the region is made larger, for so much of Σ w
 _SEEN = 60  # directions for each state, in which it is looked at
+_NEARLY = 0.999  # times as much of the starts is as much: a polynomial then holds more besides
 _LEAST_WEIGHT = 1e-6  # of the largest one
 _ROOM = (1e-6, 1e-4, 1e-2)  # by which the starts are enlarged, until they are proved to be inside
 _ABOVE = (1e-9, 1e-6, 1e-3)  # by which sizes are enlarged, likewise
@@ -87,15 +88,18 @@ def region_around(loop: SaturatedLoop, G: Array, room: Array, *, enough: float =
         >>> from pwatrack.lmi.ellipsoid import Inner
         >>> M, B, D = (BallMatrix.of(X) for X in ([[0, 1], [-1, -2]], [[0], [1]], [[-2, -2]]))
         >>> loop = SaturatedLoop(M=[M], B=B, D=D, inners=[Inner(Q=np.array([[3.0, -1], [-1, 1]]), most=0.5)])
-        >>> found = region_around(loop, np.diag([1.0, 0.1]), np.ones(1))
-        >>> scale_of(found, np.ones(1)) > scale_of(loop.around(np.diag([1.0, 0.1]), np.ones(1)), np.ones(1)) > 0.8
+        >>> found, ellipse = region_around(loop, np.eye(2), np.ones(1)), loop.around(np.eye(2), np.ones(1))
+        >>> [round(scale_of(one, np.ones(1)), 2) for one in (found, ellipse)]
+        [0.5, 0.5]
+        >>> ray = np.array([[1.0, -1.0]])
+        >>> bool(found.reach(ray) > 2 * ellipse.reach(ray))
         True
     """
     ellipsoid = loop.around(G, room)
     if ellipsoid is None or scale_of(ellipsoid, room) >= enough:
         return ellipsoid
     polynomial = _polynomial(loop, ellipsoid, G, room)
-    if polynomial is None or scale_of(polynomial, room) < scale_of(ellipsoid, room):
+    if polynomial is None or scale_of(polynomial, room) < _NEARLY * scale_of(ellipsoid, room):
         return ellipsoid
     return polynomial
 
