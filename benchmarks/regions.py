@@ -39,6 +39,7 @@ from tests.test_limits_active import growth, random_loop
 
 console = Console(highlight=False, width=200)
 _RAYS = 90  # on which the edge of a region is looked for
+_FAR = 100.0  # in coordinates in which P is I: further no region is looked at
 _ORDERS = 10  # of the cells, by which each start is tried
 
 
@@ -83,9 +84,9 @@ def _rays(P: Array) -> Array:
 
 
 def simulated(A: list[Array], B: Array, K: Array, P: Array, forms: list[Array], random: np.random.Generator) -> Array:
-    """Return how far the region reaches on each ray, in coordinates in which P is I; no further than 100 |K z| = 1."""
+    """Return how far the region reaches on each ray, in coordinates in which P is I."""
     rays = _rays(P)
-    low, high = np.zeros(_RAYS), np.full(_RAYS, 100.0)
+    low, high = np.zeros(_RAYS), np.full(_RAYS, _FAR)
     for _ in range(14):
         middle = np.where(low > 0, np.sqrt(np.maximum(low, 1e-9) * high), high / 16)
         kept = survives(A, B, K, forms, middle[:, None] * rays, random)
@@ -129,7 +130,7 @@ def areas(seed: int) -> tuple[float, ...]:
         found = loop.around(G, np.ones(1)) if ellipse else region_around(loop, G, np.ones(1))
         if found is None:
             return 0.0
-        size = float((found.reach(_rays(P)) ** 2).sum() * np.pi / _RAYS / found.sizes[0] ** 2)
+        size = float((np.minimum(found.reach(_rays(P)) / found.sizes[0], _FAR) ** 2).sum() * np.pi / _RAYS)
         if size > best.get(ellipse, 0.0):
             best[ellipse] = size
             forms[1:] = [np.linalg.inv(floats(found.P))] if isinstance(found, Region) else forms[1:]

@@ -143,7 +143,12 @@ def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance
     if kind == "noise":
         squares = np.repeat(d[::parts, 0] ** 2, parts)
     acts = Acting(
-        squares={(kind, 0): squares}, means={(kind, 0): means}, beside={}, planes=np.eye(1), near=np.zeros((K, 1))
+        squares={(kind, 0): squares},
+        means={(kind, 0): means},
+        beside={},
+        planes=np.eye(1),
+        near=np.zeros((K, 1)),
+        changes=np.zeros(1),
     )
     one = Tube(
         Q=(), a=0.0 if kind == "noise" else 0.8, b=0.2 if kind == "noise" else 0.0, sizes=(), summed=kind == "moved"

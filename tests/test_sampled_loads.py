@@ -400,7 +400,14 @@ def of_size_one(controller: ProvedController, _: object) -> Acting:
     channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
     channels += [("noise", k) for k in range(len(plant.C))]
     near = np.zeros((1, len(plant.partition.H)))
-    return Acting(squares={of: np.ones(1) for of in channels}, means={}, beside={}, planes=plant.partition.H, near=near)
+    return Acting(
+        squares={of: np.ones(1) for of in channels},
+        means={},
+        beside={},
+        planes=plant.partition.H,
+        near=near,
+        changes=np.zeros(plant.B.shape[1]),
+    )
 
 
 def test_no_switching_is_above_a_tube(bounded: tuple[Spec, ProvedController, SampledBounds]) -> None:

@@ -17,6 +17,7 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_region import SampledRegion, drives
 from pwatrack.commands.verify import verify
 from pwatrack.control.controller import ProvedController
+from pwatrack.lmi import polynomial_region
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.clocked_region import ClockedRegion
 from pwatrack.model.conditions import Conditions, Sampling
@@ -49,8 +50,9 @@ simulation:
 """
 
 
-def written(folder: Path, *, more: str = "", also: str = "", observer: str = "{z: 0.2}") -> Path:
+def written(folder: Path, *, more: str = "", also: str = "", observer: str = "{z: 0.2}", rate: float = np.inf) -> Path:
     path = folder / "pole.yaml"
+    also += f"\n  rate_limit: {{u: {rate}}}" if np.isfinite(rate) else ""
     text = POLE.replace(", MORE", f", {more}" if more else "").replace("ALSO", also).replace("OBSERVER", observer)
     path.write_text(text, encoding="utf-8")
     return path
@@ -68,35 +70,48 @@ def loaded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedContro
     return spec, design(spec)
 
 
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedController]:
+    """Its input changes by 1 N m in a sample at most."""
+    load = "disturbance: {v: 0.3}"
+    path = written(tmp_path_factory.mktemp("slow"), more="estimate: input", also=load, rate=50)
+    return load_spec(path), design(load_spec(path))
+
+
 def scaled(controller: ProvedController) -> dict[str, float]:
     claim = controller.claim(SampledRegion)
-    left = claim.room.spare
+    left = claim.left
     assert left is not None, claim.missing
     return {one.starts.kind: one.scale(left) for one in claim.found}
 
 
-@pytest.mark.parametrize("of", ["pole", "loaded"])
+@pytest.mark.parametrize("of", ["pole", "loaded", "slow"])
 def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
     of: str, request: pytest.FixtureRequest
 ) -> None:
     _, controller = request.getfixturevalue(of)
     errors = controller.claim(SampledBounds).errors
     system, random, reached = errors.clocked, np.random.default_rng(4), 0
+    slowed = 0
     F, (J,) = np.array([X.floats for X in system.F]), (X.floats for X in system.J)
     assert system.between is not None
     R, step = system.between.floats, 0.02 / system.parts
     place = len(controller.plant.B)
-    D = (drives(errors, (0,)) @ J)[0]
+    (before,) = drives(errors, (0,))
+    D = before @ J
     for one in controller.claim(SampledRegion).found:
         held = one.held
         assert isinstance(held, ClockedRegion)
-        P, (most,) = held.form, held.sizes
+        P, (most, *change) = held.form, held.sizes
+        change = change or [np.inf]
         edges = random.normal(size=(60, len(P)))
         for z in edges / np.sqrt(np.einsum("ki,ij,kj->k", edges, P, edges))[:, None]:
             at, value = z, 1.0
             for _ in range(40):
-                off = np.clip(D @ at, -most, most) - D @ at
+                slower = np.clip(D @ at, before @ at - change[0], before @ at + change[0])
+                off = np.clip(slower, -most, most) - D @ at
                 reached += off != 0
+                slowed += slower != D @ at
                 at = J @ at
                 at[place] += off
                 for part in range(system.parts):
@@ -107,6 +122,7 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
                 assert after < value * (1 + 1e-9)
                 value = after
     assert reached > 200
+    assert slowed > 40 or of != "slow"
 
 
 def runs(controller: ProvedController, x: Array, x_hat: Array, push: Conditions) -> Array:
@@ -140,9 +156,12 @@ def test_the_program_itself_settles_from_the_edge_and_not_from_far_beyond(pole: 
     assert runs(controller, 4 * share * size, 4 * share * size, limits)[0] > 0.5
 
 
-def test_it_is_nearly_what_the_loop_in_continuous_time_has(pole: tuple[Spec, ProvedController]) -> None:
-    _, controller = pole
-    claim = controller.claim(LimitedRegion)
+def test_it_is_nearly_what_an_ellipsoid_of_the_loop_in_continuous_time_has(
+    pole: tuple[Spec, ProvedController], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec, controller = pole
+    monkeypatch.setattr(polynomial_region, "DEGREES", ())
+    claim = design(spec).claim(LimitedRegion)
     left = claim.room.spare
     assert left is not None
     for one in claim.found:
@@ -184,17 +203,50 @@ def test_loads_take_their_part(pole: tuple[Spec, ProvedController], loaded: tupl
     assert np.abs(result.response.x[-1]).max() < 1e-3
 
 
-def test_what_is_late_or_has_rates_is_refused_and_said_so(tmp_path: Path) -> None:
-    late, rates = "inputs are late, and what waits as the run begins acts too", "rates of inputs are limited too"
-    for why in ("", late, rates):
-        path = written(tmp_path)
-        text = path.read_text(encoding="utf-8")
-        if why == late:
-            text = text.replace("controller: {sample_time: 0.02}", "controller: {sample_time: 0.02, delay: 1}")
-        if why == rates:
-            text = text.replace("limits: {u: [-2, 2]}", "limits: {u: [-2, 2]}}\n  rate_limit: {u: 500")
-        path.write_text(text, encoding="utf-8")
-        assert design(load_spec(path)).claim(SampledRegion).missing == why
+def test_what_is_late_is_refused_and_said_so(tmp_path: Path) -> None:
+    late = "inputs are late, and what waits as the run begins acts too"
+    path = written(tmp_path)
+    text = path.read_text(encoding="utf-8").replace("{sample_time: 0.02}", "{sample_time: 0.02, delay: 1}")
+    path.write_text(text, encoding="utf-8")
+    assert design(load_spec(path)).claim(SampledRegion).missing == late
+
+
+def test_the_faster_an_input_may_change_the_more_is_proved_and_the_program_settles_from_there(
+    tmp_path: Path, pole: tuple[Spec, ProvedController]
+) -> None:
+    size, shares = np.array([0.3, 0.6]), [0.0]
+    for rate in (10, 50, 500):
+        path = written(tmp_path, rate=rate)
+        controller = design(load_spec(path))
+        shares.append(scaled(controller)["exact"])
+        limits = Conditions(limits=np.array([[-2.0, 2.0]]), rates=np.array([rate]), sampling=Sampling(sample_time=0.02))
+        corners = shares[-1] * size * np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]])
+        assert max(runs(controller, x, x, limits)[0] for x in corners.round(9)) < 1e-3
+        said = call("design", path, "--out", tmp_path / "out", "--verbose").stdout
+        assert "and x̂ = x, with inputs and their rates at their limits too" in " ".join(said.split())
+        assert verify(tmp_path / "out", path)
+    assert shares == sorted(shares)
+    assert scaled(pole[1])["exact"] > 0.95 * shares[-1]
+    assert runs(controller, 4 * size, 4 * size, limits)[0] > 0.5
+
+
+def test_what_acts_and_the_first_input_are_taken_off_what_it_may_change_by(tmp_path: Path) -> None:
+    """By noise an input changes; and from 0 on it is to be at its feedforward."""
+    noise = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"
+    quiet, loud = (
+        design(load_spec(written(tmp_path, also=also, rate=50))).claim(SampledRegion) for also in ("", noise)
+    )
+    assert quiet.changes is not None
+    assert loud.changes is not None
+    assert quiet.changes[0] == pytest.approx(1)
+    assert 0.5 < loud.changes[0] < 0.95
+    path = written(tmp_path, rate=50)
+    path.write_text(path.read_text(encoding="utf-8").replace("{y: 0}", "{y: 0.1}"), encoding="utf-8")
+    assert design(load_spec(path)).claim(SampledRegion).changes == pytest.approx([0.6])  # of u_ff = −0.4
+    path.write_text(path.read_text(encoding="utf-8").replace("{u: 50}", "{u: 15}"), encoding="utf-8")
+    refused = design(load_spec(path)).claim(SampledRegion)
+    assert refused.missing == "what acts, or how x_d begins, takes all that an input may change by"
+    assert not refused.found
 
 
 def test_a_plant_that_is_stable_by_itself_settles_from_every_start(tmp_path: Path) -> None:
@@ -219,6 +271,23 @@ def test_it_is_audited(certificate: dict[str, Any]) -> None:
 
 def times(rows: list[list[str]], factor: float) -> list[list[str]]:
     return [[decimal(float(v) * factor) for v in row] for row in rows]
+
+
+def test_a_row_of_a_change_is_audited(slow: tuple[Spec, ProvedController]) -> None:
+    content = design_certificate(*slow)
+    assert not audit(json.dumps(content))[1]
+    forgeries: list[tuple[int, Any, str]] = [
+        (1, lambda entry: entry["signals"][1].__setitem__(2, "0.001"), "change 0 is not bounded by 0.001"),
+        (1, lambda entry: entry["signals"][1].__setitem__(0, "drive"), "a signal is there twice"),
+        (0, lambda entry: entry["signals"][0].__setitem__(0, "change"), "a signal is there twice"),
+        (1, lambda entry: entry["H"].reverse(), "sampled region 1: "),
+        (1, lambda entry: entry["H"].__setitem__(1, ["0"] * len(entry["H"][1])), "a tick makes its form grow"),
+    ]
+    for place, change, fault in forgeries:
+        forged = copy.deepcopy(content)
+        forged["sampled_regions"] = forged["sampled_regions"][place:][:1]
+        change(forged["sampled_regions"][0])
+        assert any(fault in one for one in audit(json.dumps(forged))[1]), fault
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,11 @@ class LimitedRegion(Claim):
                 found.append(_of(loops_of(controller), one, room, _read(entry)))
         yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
+    @property
+    def left(self) -> Array | None:
+        """How far each input may be from its feedforward, (m,)."""
+        return self.room.spare
+
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return ellipsoids and rows H, and the gain of least cost where another one took its place."""
         cheaper = controller.design.cheaper
@@ -120,12 +125,14 @@ class LimitedRegion(Claim):
 
     def from_this_start(self, controller: ProvedController) -> bool:
         """Whether it is proved of the start of the run."""
-        return from_this_start(self.room, controller, self.found)
+        return from_this_start(self.room, self.left, controller, self.found)
 
 
-def from_this_start(room: Headroom, controller: ProvedController, found: Iterable[StartGuarantee]) -> bool:
+def from_this_start(
+    room: Headroom, left: Array | None, controller: ProvedController, found: Iterable[StartGuarantee]
+) -> bool:
     """Say whether some guarantee is of the start of the run, with the loads that act in it."""
-    left, loads = room.spare, controller.plant.loads
+    loads = controller.plant.loads
     run = next((starts for starts in room.starts if starts.kind == "run"), None)
     bears = loads is None
     if loads is not None and left is not None and run is not None and run.load is not None:

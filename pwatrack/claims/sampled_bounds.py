@@ -142,15 +142,16 @@ class SampledBounds(Claim):
         each = (self.acts.squares.get(("noise", k), np.zeros(1)) for k in range(len(self.errors.plant.C)))
         return np.array([float(np.sqrt(one.max())) for one in each])
 
-    def taken(self, inputs: Sequence[int], rows: Array) -> Array:
+    def taken(self, inputs: Sequence[int], rows: Array) -> tuple[Array, Array]:
         """Return how far off u_ff all that acts takes some inputs at most, from error 0 on, for any switching.
 
-        It is for the loop without limits; `rows` read them off z, less estimates of loads.
+        Then by how much it changes them from one tick to the next at most, with all that they change by along x_d, from
+        0 on. It is for the loop without limits; `rows` read them off z, less estimates of loads.
         """
         levels = self._levels(np.ones(len(self.acts.near)))
         most = self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0)
         beside = [self.acts.beside.get(("input", k), np.zeros(1)).max() for k in inputs]
-        return np.asarray((most + beside) * OVER_SUMS)
+        return (most + beside) * OVER_SUMS, (2 * most + self.acts.changes[list(inputs)]) * OVER_SUMS
 
     def _levels(self, where: Array) -> dict[Channel, list[Array]]:
         """Return V^½ of each tube in each substep, where predictions cross planes in some substeps at most."""

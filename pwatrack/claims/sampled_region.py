@@ -5,11 +5,11 @@ The program cuts its input off, holds it and predicts with it, so the observer's
 without limits, is taken off what the feedforward leaves of them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, t
 from pwatrack.claims.region import every, from_this_start, starts_said
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.control.bounds import Loops
+from pwatrack.control.bounds import Form, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.sampled_error import SampledErrors
@@ -34,6 +34,7 @@ from pwatrack.rational import floats
 
 _NOT_FOUND = "no forms were found that prove it"
 _FINER = 2  # times as many segments as the loop without limits takes
+_SLOWED = (1.0, 0.3)  # times what an input wants to change by: what it changes by at least where it may not
 _SHARES = ((0.25, 0.1), (0.5, 1.0))  # of its rate: what V falls with at a limit; the others where none of these will do
 
 
@@ -43,12 +44,14 @@ class SampledRegion(Claim):
 
     Attributes:
         room: What the feedforward and all that acts leave of the limits.
+        changes: What both leave of what inputs may change by in a sample, (m,); None where these have no such limits.
         idle: Whether nothing acts.
         found: What is proved of some starts, each by a `ClockedRegion`.
         missing: Why it is of none; "" where it is of some.
     """
 
     room: Headroom = field(repr=False)
+    changes: Array | None = field(repr=False)
     idle: bool
     found: tuple[StartGuarantee, ...] = ()
     missing: str = ""
@@ -59,7 +62,9 @@ class SampledRegion(Claim):
         "with limits: P as under sampled with rate 0 and J_S^T P_0 J_S < P_N for all S at ticks, z^T P_N z <= 1 at the "
         "starts, and |H z| <= the sizes where it is so. So z, less what all that acts makes of it "
         "without limits along the same switching, goes to 0 from starts scaled by c, with u cut off anywhere beyond c "
-        "times these sizes and loads and what that makes of u; with H = 0 and no starts, from all."
+        "times these sizes and loads and what that makes of u; with H = 0 and no starts, from all. A row of a change "
+        "is one more in place of the D of its input, nu + H z: with u changing by c times its size at least and what "
+        "that makes of the change."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_regions": []}
 
@@ -92,25 +97,36 @@ class SampledRegion(Claim):
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return by which scale starts may be off."""
-        left, names = self.room.spare, words.plant.inputs
+        left, inputs = self.left, words.plant.inputs
+        names = [*inputs, *(f"change of {name}" for name in inputs)]
         said = [] if left is None else [one.figures(left, names) for one in self.found]
         return {"sampled_limits_active": {"starts": said, "missing": self.missing}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield from which starts errors settle."""
-        left, label = self.room.spare, "limits, sampled"
+        left, label = self.left, "limits, sampled"
         if left is None or not self.found:
             yield label, f"not proved: {self.missing}"
             return
         for one in self.found:
             starts = starts_said(self.room, left, words, controller, one)
-            yield label, f"in the sampled loop {self.goes} from {starts}, with inputs at their limits too"
+            yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}"
             label = ""
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors settle from the start of the run with inputs at their limits, where that is proved."""
         if self.from_this_start(controller):
-            yield "as sampled", f"from this start {self.goes}, with inputs at their limits too"
+            yield "as sampled", f"from this start {self.goes}, {self._with}"
+
+    @property
+    def left(self) -> Array | None:
+        """How far each input may be from its feedforward, then what is left of its changes where these have limits."""
+        spare = self.room.spare
+        return spare if spare is None or self.changes is None else np.concatenate([spare, self.changes])
+
+    @property
+    def _with(self) -> str:
+        return f"with inputs{' and their rates' * (self.changes is not None)} at their limits too"
 
     @property
     def goes(self) -> str:
@@ -121,7 +137,7 @@ class SampledRegion(Claim):
 
     def from_this_start(self, controller: ProvedController) -> bool:
         """Whether it is proved of the start of the run."""
-        return from_this_start(self.room, controller, self.found)
+        return from_this_start(self.room, self.left, controller, self.found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +147,7 @@ class _Search:
     controller: ProvedController
     loop: SampledLoop
     room: Headroom  # without what acts takes
+    changes: Array | None  # likewise, of what inputs may change by in a sample, (m,)
     idle: bool
     missing: str
     off: Array  # columns by which x̂(0) of the run may be off, (n, q), as it is made of what is measured
@@ -142,22 +159,25 @@ class _Search:
         for loop in controller.claims_of(SampledLoop) if room is not None else ():
             if loop.proof is None or room is None:
                 continue
-            taken, idle, missing = np.full(1, np.inf), False, _beyond(controller, loop, room, paced=asked.paced)
-            X = np.zeros(controller.plant.C.T.shape) if asked.measured is None else asked.measured
+            taken, idle, missing, changes = np.full(1, np.inf), False, _beyond(controller, loop, room), asked.changes
+            X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
+            X = X if asked.measured is None else asked.measured
             for bounds in controller.claims_of(SampledBounds) if not missing else ():
-                taken, idle = bounds.taken(room.inputs, drives(bounds.errors, room.inputs)), bounds.idle
-                X = X * bounds.noise
+                taken, changed = bounds.taken(inputs, drives(bounds.errors, inputs))
+                idle, X, changes = bounds.idle, X * bounds.noise, None if changes is None else changes - changed
             if not missing and not np.isfinite(taken).all():
                 missing = "no bound is proved of what acts"
             elif not missing:
-                room = room.beside(dict(zip(room.inputs, taken.tolist(), strict=True)), ever=idle)
+                room = room.beside(dict(enumerate(taken.tolist())), ever=idle)
                 missing = "what acts takes all that is left of the limits" * (room.spare is None)
-            yield cls(controller=controller, loop=loop, room=room, idle=idle, missing=missing, off=X)
+            if not missing and changes is not None and not (changes > 0).all():
+                missing = "what acts, or how x_d begins, takes all that an input may change by"
+            yield cls(controller=controller, loop=loop, room=room, changes=changes, idle=idle, missing=missing, off=X)
 
     def told(self, found: tuple[StartGuarantee, ...]) -> SampledRegion:
         """Return the claim."""
         missing = self.missing or _NOT_FOUND * (not found)
-        return SampledRegion(room=self.room, idle=self.idle, found=found, missing=missing)
+        return SampledRegion(room=self.room, changes=self.changes, idle=self.idle, found=found, missing=missing)
 
     @cached_property
     def errors(self) -> SampledErrors:
@@ -189,15 +209,24 @@ class _Search:
     @cached_property
     def ticks(self) -> SaturatedTicks:
         """The loop with its limits."""
-        system, inputs = self.errors.clocked, self.room.inputs
+        system, (n, m, *_) = self.errors.clocked, self.errors.widths
+        put_out = drives(self.errors, [k % m for k in self.limited])
         return SaturatedTicks(
             system=system,
             near=floats(self.proof.P[0].P),
             knots=_FINER * (len(self.proof.P) // system.parts - 1),
-            places=tuple(len(self.controller.plant.B) + k for k in inputs),
-            D=BallMatrix.of(drives(self.errors, inputs)) @ system.J[0],
+            places=tuple(n + k % m for k in self.limited),
+            D=BallMatrix.of(put_out) @ system.J[0],
+            before=BallMatrix.of(put_out * (np.array(self.limited) >= m)[:, None]),
             rate=self.proof.rate,
         )
+
+    @property
+    def limited(self) -> tuple[int, ...]:
+        """Which inputs have limits, and which have limits of changes, counted on from those."""
+        m = len(self.room.limits)
+        finite = () if self.changes is None else np.flatnonzero(np.isfinite(self.changes)).tolist()
+        return (*self.room.inputs, *(m + k for k in finite))
 
     @cached_property
     def continuous(self) -> SaturatedLoop:
@@ -223,7 +252,8 @@ class _Search:
     def regions(self) -> Iterator[StartGuarantee]:
         """Yield what is proved: of every start, or of multiples of those that are given."""
         off = taken_off(self.controller.compensation, self.loops.at_inputs)
-        held = self.ticks.everywhere() if self.loops.n == self.loops.N or off else None
+        free = (self.loops.n == self.loops.N or off) and not self.ticks.before.floats.any()
+        held = self.ticks.everywhere() if free else None
         if held is not None:
             yield self.guarantee(self.every, held)
             return
@@ -235,27 +265,40 @@ class _Search:
 
     def _largest(self, starts: Starts) -> StartGuarantee | None:
         """Return the region of the largest multiple that is proved, of a few H."""
-        left, (n, m, N, *_) = self.room.spare, self.errors.widths
+        left, (n, m, N, *_), ticks, best = self.told(()).left, self.errors.widths, self.ticks, None
         assert left is not None
-        before, own, best = self._before(starts), [*range(n), *range(n + m, n + m + N)], None
-        room, ticked = np.maximum(left[list(self.room.inputs)], 0.0), self.errors.ticks[0].floats[own]
+        before, own, inputs = self._before(starts), [*range(n), *range(n + m, n + m + N)], len(self.room.inputs)
+        room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
+        change = (ticks.D.floats - ticks.before.floats)[inputs:]
         for shares in _SHARES:
             rates = [share * self.proof.rate for share in shares]
-            for _, H, weights in self.continuous.sought(before[own], room, rates):
-                held = self.ticks.around(before, room, H @ ticked, weights)
-                tried = None if held is None else self.guarantee(starts, held)
-                if tried is not None and (best is None or tried.scale(left) > best.scale(left)):
-                    best = tried
+            for _, H, weights in self.continuous.sought(before[own], room[:inputs], rates):
+                for much in _SLOWED if len(change) else _SLOWED[:1]:
+                    held = ticks.around(before, room, np.vstack([H @ ticked, much * change]), weights)
+                    tried = None if held is None else self.guarantee(starts, held)
+                    if tried is not None and (best is None or tried.scale(left) > best.scale(left)):
+                        best = tried
             if best is not None:
                 break
         return best
 
     def guarantee(self, starts: Starts, held: ClockedRegion) -> StartGuarantee:
         """Return what a region says of starts, as z before the first tick."""
-        inputs, own = self.room.inputs, starts.kind != "every"
+        inputs, own, m = self.room.inputs, starts.kind != "every", len(self.room.limits)
         loads = loads_at(self.loops, starts, inputs) if own else (0.0,) * len(inputs)
-        before = self._before(starts)
-        return StartGuarantee(starts=starts, loop="joint", inputs=inputs, held=held, loads=loads, before=before)
+        forms: tuple[Form, ...] = ()
+        if self.limited != inputs:
+            kind: Literal["drive", "input"] = "input" if starts.load is None else "drive"
+            forms = (*((kind, k) for k in range(m)), *(("change", k) for k in range(m)))
+        return StartGuarantee(
+            starts=starts,
+            loop="joint",
+            inputs=self.limited,
+            held=held,
+            loads=loads + (0.0,) * (len(self.limited) - len(inputs)),
+            forms=forms,
+            before=self._before(starts),
+        )
 
     def behind(self, entry: Any) -> list[Any]:
         """Return the rows of starts of a certificate that are of (e, Δ, σ), or of e alone where the others are 0."""
@@ -271,7 +314,7 @@ class _Search:
         return np.vstack([starts.e, np.zeros((m, k)), delta, load, behind])
 
 
-def drives(errors: SampledErrors, inputs: tuple[int, ...]) -> Array:
+def drives(errors: SampledErrors, inputs: Sequence[int]) -> Array:
     """Return the rows on z that read u − u_ff of some inputs, and what is taken off for loads, (inputs, order)."""
     (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
     rows[range(len(inputs)), [n + k for k in inputs]] = 1.0
@@ -280,14 +323,12 @@ def drives(errors: SampledErrors, inputs: tuple[int, ...]) -> Array:
     return rows
 
 
-def _beyond(controller: ProvedController, loop: SampledLoop, room: Headroom, *, paced: bool) -> str:
+def _beyond(controller: ProvedController, loop: SampledLoop, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
     if room.peak is None:
         return "x_d takes too long to follow, so what its feedforward takes is not known"
     if room.spare is None:
         return "the feedforward takes more than the limits, from where the generator starts"
-    if paced:
-        return "rates of inputs are limited too"
     if loop.gains.delay:
         return "inputs are late, and what waits as the run begins acts too"
     if on_estimates(controller) is not None:

@@ -53,7 +53,7 @@ _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 
 Loop = Literal["joint", "controller", "observer"]
 Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation", "moved", "nominal"], int]
-Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive"], int]
+Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive", "change"], int]
 
 
 @dataclass(frozen=True, kw_only=True)

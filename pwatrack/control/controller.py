@@ -48,7 +48,7 @@ class Asked:
     corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
     solver: Solver = "structured"  # who is asked for what is proved later
     sampled: SampledGains | None = None  # the gains of a program that predicts and corrects, where they matter
-    paced: bool = False  # whether inputs may change only so fast
+    changes: Array | None = None  # by how much inputs may change in a sample, (m,), infinite where by any
     measured: Array | None = None  # X of x̂(0) = X y, (n, q), where the observer starts from what is measured
     acting: "Callable[[ProvedController, SampledErrors], Acting | None] | None" = None  # in the run
 

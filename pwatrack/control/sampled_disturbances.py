@@ -51,6 +51,7 @@ class Acting:
         beside: How large at most that is which signals have beside c z, (K,): that of the nominal loop.
         planes: Normals of the planes between cells, (P, n).
         near: How near x_d + e₀ comes to each of them, in H x, (K, P).
+        changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
     """
 
     squares: Mapping[Channel, Array]
@@ -58,6 +59,7 @@ class Acting:
     beside: Mapping[Form, Array]
     planes: Array
     near: Array
+    changes: Array
 
 
 def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where: Array | float = 1.0) -> Array:

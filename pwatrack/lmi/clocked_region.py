@@ -10,6 +10,9 @@ inequalities of `clocked` with all
 V = zᵀ P(τ) z falls from every z with V ≤ 1 just before a tick, with limits active (proved in `docs/theory/beyond.md`).
 Starts G ζ, |ζ_k| ≤ 1, are among these where Gᵀ P_N G ⪯ diag(w), Σ w ≤ 1. With H = 0 V falls from every z, for any ū.
 
+Where an input may change by so much at a tick only, it is first a mean of D_j z and b_j z + H_r z, for a row with
+|H_r z| ≤ that, b_j z what it was before; then limits make a mean of that and H_j z of it: one more J for each.
+
 Of a loop on which something acts, the same is true of what is left of z once the response to that is taken off, the one
 of the loop without limits along the same switching from 0 on: where that takes β_j of ū_j at most, ū_j − β_j is left.
 
@@ -69,17 +72,20 @@ class SaturatedTicks:
     """A loop with limits of what a tick puts out."""
 
     system: Clocked  # without limits
-    places: tuple[int, ...]  # of the inputs with limits in z, (m,)
+    places: tuple[int, ...]  # in z of the input that each limit is of, (m,)
     D: BallMatrix  # (m, n)
+    before: BallMatrix  # rows that read on z what a limit of changes counts from; 0 of another, (m, n)
     near: Array  # a form P_0 that falls where no limit is reached, (n, n): it decides the coordinates
     rate: float  # with which it does, in 1/s
     knots: int  # segments of each part
 
     def limited(self, H: BallMatrix) -> Clocked:
-        """Return the system with the ticks of all sets S."""
-        (m, n), rest, ticks = H.shape, H - self.D, list[BallMatrix]()
-        for chosen in product((False, True), repeat=m):
-            S = [j for j in range(m) if chosen[j]]
+        """Return the system with the ticks of all sets S: of the limits of an input there is one in it at most."""
+        (m, n), ticks = H.shape, list[BallMatrix]()
+        rest = H + self.before - self.D
+        of_inputs = [[None, *(j for j in range(m) if self.places[j] == at)] for at in dict.fromkeys(self.places)]
+        for chosen in product(*of_inputs):
+            S = [j for j in chosen if j is not None]
             T = BallMatrix.of(np.eye(n)[:, [self.places[j] for j in S]], (n, len(S)))
             ticks += [J + T @ rest.part(S, range(n)) if S else J for J in self.system.J]
         return replace(self.system, J=ticks, blocks=())
@@ -203,5 +209,11 @@ def ticking(a: float, gain: float) -> SaturatedTicks:
     forms = looked_for(system, 1).at(0.0)
     assert forms is not None
     return SaturatedTicks(
-        system=system, places=(1,), D=BallMatrix.of([[gain, 0]]), near=forms.P[0], rate=forms.rate, knots=4
+        system=system,
+        places=(1,),
+        D=BallMatrix.of([[gain, 0]]),
+        before=BallMatrix.of([[0, 0]]),
+        near=forms.P[0],
+        rate=forms.rate,
+        knots=4,
     )

@@ -191,7 +191,7 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
         yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
         conditions = replace(conditions, plant=None, parameters=None)
     if _settles(controller):
-        conditions = replace(conditions, limits=None)
+        conditions = replace(conditions, limits=None, rates=None)
     limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
     if limited and replace(conditions, limits=None).nominal and spec.scenario.conditions.sampling is None:

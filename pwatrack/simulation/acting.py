@@ -134,6 +134,7 @@ class _Walk:
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
         self._flow, self._ticks = desired_flow(controller.plant, controller.trajectory), 0  # those before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
+        self._last, self._changes = np.zeros(self._m), np.zeros(self._m)  # of u
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
@@ -166,6 +167,7 @@ class _Walk:
             beside=dict(zip(forms, most.T, strict=True)),
             planes=H,
             near=near,
+            changes=self._changes * OVER_POWERS,
         )
 
     def _rows(self, mode: Mode) -> Array:
@@ -221,6 +223,8 @@ class _Walk:
                 if substep // self._parts != last // self._parts or last < 0:
                     e = e * (self._ticks + substep // self._parts > self._runs.sampling.delay)
                     held[:m] = u[substep // self._parts] + self._runs.K @ e
+                    self._changes = np.maximum(self._changes, np.abs(held[:m] - self._last))
+                    self._last = held[:m].copy()
                 held[m:], last = moving[substep] + self._R @ e, substep
             before[i, :n], before[i, n:] = e, held
             e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]

@@ -85,7 +85,8 @@ def asked_of(
     spec: Spec, room: Headroom | None, controller: ProvedController, set_points: Demand | None = None
 ) -> Asked:
     """Return what a spec asks to be proved, given what feedforward and set-points leave of limits of inputs, if any."""
-    problem, goals, sampling = spec.problem, spec.objectives, spec.scenario.conditions.sampling
+    problem, goals, conditions = spec.problem, spec.objectives, spec.scenario.conditions
+    sampling, rates = conditions.sampling, conditions.rates
     corrects = sampling is not None and sampling.corrects
     return Asked(
         words=spec.words,
@@ -101,7 +102,7 @@ def asked_of(
             if isinstance(spec.scenario.initial.observer, Measured)
             else None
         ),
-        paced=spec.scenario.conditions.rates is not None,
+        changes=None if sampling is None or rates is None else rates * sampling.sample_time,
         acting=lambda proved, errors: _acting(spec, proved, errors),
     )
 

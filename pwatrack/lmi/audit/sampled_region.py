@@ -41,14 +41,15 @@ def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
     H, P = matrix(entry["H"]), packed(entry["P"][-1])[0]
     inputs = [place(k, errors.m) for _, k, _ in entry["signals"]]
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
-    kinds = {kind for kind, *_ in entry["signals"]}
+    changing = [kind == "change" for kind, *_ in entry["signals"]]
+    kinds = {kind for kind, *_ in entry["signals"]} - {"change"}
     if not inputs or len(kinds) > 1 or not kinds <= {"input", "drive"}:
         raise AuditFault("a region of the sampled loop is not of inputs")
     if len(H) != len(inputs) or any(len(row) != errors.order for row in H) or len(P) != errors.order:
         raise AuditFault("the rows of a region of the sampled loop do not fit")
     faults = list[str]()
     if entry["of"] == "every":
-        if entry["weights"] or any(map(any, H)):
+        if entry["weights"] or any(map(any, H)) or any(changing):
             raise AuditFault("a region of every start has no starts, and no rows")
     else:
         faults += around(errors, entry, P)
@@ -56,7 +57,7 @@ def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
         most = number(size)
         if any(row) and not (most > 0 and definite(added(P, [[a * b / most**2 for b in row] for a in row], -1))):
             faults.append(f"{kind} {k} is not bounded by {size}")
-    return faults + growing(errors, whole["sampled"], entry["P"], ticks(errors, inputs, H), Fraction(0))
+    return faults + growing(errors, whole["sampled"], entry["P"], ticks(errors, inputs, changing, H), Fraction(0))
 
 
 def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:
@@ -73,17 +74,25 @@ def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:
     return [] if inside else ["a start is not in the region"]
 
 
-def ticks(errors: AuditedErrors, inputs: list[int], H: Any) -> list[Ball]:
-    """Return what a tick makes of z with rows H in place of what inputs are made of, for all sets of inputs."""
-    (J,), n, m, loads = errors.ticks, errors.n, errors.m, range(len(errors.at))
+def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any) -> list[Ball]:
+    """Return what a tick makes of z with a row of H in place of what an input is made of, or none, for each input.
+
+    A row of a change is added to what the input was before.
+    """
+    (J,), n, m = errors.ticks, errors.n, errors.m
+    eye = Ball([[Fraction(j == k) for k in range(errors.order)] for j in range(errors.order)])
+    changes: dict[int, list[Ball | None]] = {k: [None] for k in inputs}
+    for k, is_change, row in zip(inputs, changing, H, strict=True):
+        made, before = J.row(n + k), eye.row(n + k)
+        for load in range(len(errors.at)):
+            if errors.at[load] == k:
+                made, before = made - J.row(n + m + n + load), before - eye.row(n + m + n + load)
+        rest = Ball([row]) + before - made if is_change else Ball([row]) - made
+        changes[k].append(eye.row(n + k).T @ rest)
     found = list[Ball]()
-    for chosen in choices((False, True), repeat=len(inputs)):
+    for chosen in choices(*changes.values()):
         tick = J
-        for k, row, is_chosen in zip(inputs, H, chosen, strict=True):
-            if is_chosen:
-                D = J.row(n + k)
-                for load in loads:
-                    D = D - J.row(n + m + n + load) if errors.at[load] == k else D
-                tick += Ball([[Fraction(j == n + k)] for j in range(errors.order)]) @ (Ball([row]) - D)
+        for change in chosen:
+            tick = tick if change is None else tick + change
         found.append(tick)
     return found
