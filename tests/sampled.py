@@ -9,7 +9,7 @@ from scipy.linalg import expm, solve_discrete_are
 from pwatrack import Spec
 from pwatrack.arrays import Array
 from pwatrack.claims.sampled import SampledLoop
-from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_bounds import TubeBounds
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.sampled_disturbances import driven
@@ -128,7 +128,7 @@ def form_at(proof: ClockedProof, parts: int, part: int, share: float) -> Array:
     return np.asarray(one + (place - k) * (other - one))
 
 
-def worst_found(claim: SampledBounds, channel: Channel, c: Array, seed: int, *, summed: bool = False) -> float:
+def worst_found(claim: TubeBounds, channel: Channel, c: Array, seed: int, *, summed: bool = False) -> float:
     """Return |c z| for a switching at random with what acts at its worst: known from what each stretch adds to c z.
 
     What is summed acts in one stretch, in which its integral is 1.

@@ -14,7 +14,7 @@ from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.claims.sampled_box import SampledBox
+from pwatrack.claims.sampled_box import SampledBox, SampledBoxBounds
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.claims.set_points import SetPoints
 from pwatrack.claims.stable_inversion import StableInversion
@@ -34,6 +34,7 @@ CLAIMS: tuple[type[Claim], ...] = (
     SignalBounds,
     Robust,
     SampledBox,
+    SampledBoxBounds,
     StableInversion,
     KeptLimits,
 )

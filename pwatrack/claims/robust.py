@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import OVER_SUMS, Array, IntArray, number_text, up
+from pwatrack.arrays import OVER_SUMS, Array, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
 from pwatrack.claims.bounds import from_start, with_acting
 from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
@@ -31,6 +31,7 @@ from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Gains
+from pwatrack.control.vertices import Differences
 from pwatrack.control.words import Words, down
 from pwatrack.errors import OutsideTheory, ProblemPart, Remedy, Undecided, Way
 from pwatrack.lmi.ellipsoid import Inner
@@ -130,33 +131,9 @@ class Robust(Claim):
         return {signal: size * OVER_SUMS for signal, size in total.items()}
 
     @cached_property
-    def differences(self) -> "Differences":
+    def differences(self) -> Differences:
         """By how much the plants at the corners differ from that of the design: in each equation, once each."""
-        exact, n = self.plant.exact, self.plant.B.shape[0]
-        found = list[Array]()
-        for corner in self.corners:
-            pairs = (corner.A, exact.A), (corner.b, exact.b)
-            A, b = (np.array([(X - Y).floats for X, Y in zip(*pair, strict=True)]) for pair in pairs)
-            B = np.broadcast_to((corner.B - exact.B).floats, (len(A), *exact.B.shape))
-            found.append(np.concatenate([A, b, B], axis=2))  # (l, n, n + 1 + m)
-        rows, of = list[Array](), list[int]()
-        for bounds in self.bounds:
-            k = bounds.channel[1]
-            different = np.unique(np.array([F[:, k] for F in found]), axis=0)
-            rows.append(different)
-            of += [k] * len(different)
-        F = np.concatenate(rows) if rows else np.zeros((0, len(exact.A), n + 1 + exact.B.shape[1]))
-        return Differences(A=F[..., :n], b=F[..., n], B=F[:, 0, n + 1 :], of=np.array(of, dtype=np.int64))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Differences:
-    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B."""
-
-    A: Array  # in each cell, (R, l, n)
-    b: Array  # (R, l)
-    B: Array  # (R, m)
-    of: IntArray  # in which state equation each is, (R,)
+        return Differences.of_corners(self.plant.exact, self.corners)
 
 
 def prove_box(

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, Context
 from functools import cached_property, reduce
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -43,8 +43,8 @@ _MORE = (1.6, 2.0)  # times that, as long as bounds get less
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampledBounds(Claim):
-    """Tubes for all that acts in a run.
+class TubeBounds(Claim):
+    """Tubes for all that acts in a run, of the plant as designed or of others.
 
     Attributes:
         errors: Of the loop with its program.
@@ -58,38 +58,29 @@ class SampledBounds(Claim):
     tubes: Mapping[Channel, tuple[Tube, ...]]
     forms: tuple[Form, ...]
 
-    statement: ClassVar[str] = (
-        "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
-        "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
-        "at ticks, of the steps of u, beside nu, "
-        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
-        "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it "
-        "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks and "
-        "at them, c Q c^T <= size^2 at all knots, "
-        "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0 at both ends e of each segment, "
-        "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "
-        "is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of "
-        "g g^T / a there, g g^T < Q_e at all knots: so the root of z^T Q^-1 z is at most the integral of |d|, with "
-        "weights that fall as e^(-a t / 2)."
-    )
-    nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
+    KEY: ClassVar[str]
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledBounds"]:
+    def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
+        """Yield the proof of the loop, its errors and what acts on them, where these are known."""
+        raise NotImplementedError
+
+    @classmethod
+    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator[Self]:
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
-        for proof, errors, acts in _known(controller, asked):
+        for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
             yield replace(found, tubes=_Search.of(controller, found, proof).tubes(acts))
 
     @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledBounds"]:
+    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Self]:
         """Yield what was proved."""
-        told = content["sampled_bounds"]
+        told = content[cls.KEY]
         tubes = dict[Channel, tuple[Tube, ...]]()
         for entry in told:
             channel = read_channel(entry["channel"])
             tubes[channel] = (*tubes.get(channel, ()), _read_tube(entry))
-        for _, errors, acts in _known(controller, asked):
+        for _, errors, acts in cls.known(controller, asked):
             if not tubes.keys() <= acts.squares.keys():
                 raise ValueError("a tube is of something that does not act")
             yield cls(errors=errors, acts=acts, tubes=tubes, forms=tuple(seen(controller)))
@@ -108,7 +99,7 @@ class SampledBounds(Claim):
             for channel, each in self.tubes.items()
             for one in each
         ]
-        return {"sampled_bounds": entries}
+        return {self.KEY: entries}
 
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
         """Return below what each signal is in the end of the run, if what its start left is gone."""
@@ -183,22 +174,6 @@ class SampledBounds(Claim):
             total = total + reduce(np.minimum, left)
         return np.asarray(total * OVER_SUMS)
 
-    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what acts, and what it leaves."""
-        named = self._named(words, controller)
-        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
-        ends = ", ".join(words.limits(_shown(self.ends_below(controller))))
-        if self.idle:
-            yield "in this run", "nothing acts on the sampled loop: its errors go to 0, but for rounding"
-        elif ends:
-            always = words.limits(_shown({form: float(each.max()) for form, each in self.from_zero.items()}))
-            yield "in this run", f"{ends} in the end in the sampled loop, for any switching, between ticks too"
-            if not self.errors.gains.delay:
-                yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
-            yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
-        else:
-            yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
-
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         """Return how large each signal of the sampled loop may be: what all leaves, and what the start does."""
         n, gains = len(controller.plant.B), self.errors.gains
@@ -229,7 +204,7 @@ class SampledBounds(Claim):
         ends = self.ends_below(controller)
         acts = dict(zip(self.acts.squares, self._named(words, controller), strict=True))
         return {
-            "sampled_bounds": {
+            self.KEY: {
                 "acts": {name: {"at_most": size, "unit": unit} for (name, unit), size in acts.values()},
                 "per_1": {
                     acts[channel][0][0]: {
@@ -255,7 +230,8 @@ class SampledBounds(Claim):
             elif kind == "deviation":
                 yield (f"what is merged of {merged[k].nonlinearity.name}", ""), size
             elif kind in ("moved", "nominal"):
-                rows = zip(self.errors.R.texts[k], plant.states, strict=True)
+                of = self.errors.followed if kind == "nominal" else self.errors.R
+                rows = zip(of.texts[k], plant.states, strict=True)
                 entries = [(v, name) for v, name in rows if v != "0"]
                 terms = " + ".join(name if v == "1" else f"({v}) {name}" for v, name in entries)
                 said = "moving in a substep" if kind == "moved" else "off its reference in the mean cell"
@@ -264,13 +240,63 @@ class SampledBounds(Claim):
                 yield words.cause((kind, k))[1:], size
 
 
+@dataclass(frozen=True, kw_only=True)
+class SampledBounds(TubeBounds):
+    """Those of the plant as designed."""
+
+    statement: ClassVar[str] = (
+        "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
+        "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
+        "at ticks, of the steps of u, beside nu, "
+        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
+        "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it "
+        "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks and "
+        "at them, c Q c^T <= size^2 at all knots, "
+        "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0 at both ends e of each segment, "
+        "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "
+        "is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of "
+        "g g^T / a there, g g^T < Q_e at all knots: so the root of z^T Q^-1 z is at most the integral of |d|, with "
+        "weights that fall as e^(-a t / 2)."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
+    KEY: ClassVar[str] = "sampled_bounds"
+
+    @classmethod
+    def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
+        """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
+        for loop in controller.claims_of(SampledLoop):
+            if loop.proof is not None and asked.acting is not None:
+                merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
+                deviations = [(merge.column, float(np.nextafter(float(merge.largest), np.inf))) for merge in merged]
+                errors = replace(errors_of(controller, loop.gains), deviations=deviations)
+                acts = asked.acting(controller, errors)
+                if acts is not None:
+                    yield loop.proof, errors, acts
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield what acts, and what it leaves."""
+        named = self._named(words, controller)
+        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
+        ends = ", ".join(words.limits(shown(self.ends_below(controller))))
+        if self.idle:
+            yield "in this run", "nothing acts on the sampled loop: its errors go to 0, but for rounding"
+        elif ends:
+            always = words.limits(shown({form: float(each.max()) for form, each in self.from_zero.items()}))
+            yield "in this run", f"{ends} in the end in the sampled loop, for any switching, between ticks too"
+            if not self.errors.gains.delay:
+                yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
+            yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
+        else:
+            yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
+
+
 def _around(most: Array, at: IntArray) -> Array:
     """Return the largest of some substeps and of those beside them: of a sample on a tick rounding says which it is."""
     last = len(most) - 1
     return np.asarray(np.max([most[np.clip(at + k, 0, last)] for k in (-1, 0, 1)], axis=0))
 
 
-def _shown(sizes: Mapping[Form, float]) -> Iterator[tuple[Form, float]]:
+def shown(sizes: Mapping[Form, float]) -> Iterator[tuple[Form, float]]:
     """Yield what is told of signals: of inputs and of what is tracked."""
     return ((form, size) for form, size in sizes.items() if form[0] != "estimate")
 
@@ -284,18 +310,6 @@ def seen(controller: ProvedController) -> Iterator[Form]:
     yield from (("estimate", k) for k in range(n))
 
 
-def _known(controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
-    """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
-    for loop in controller.claims_of(SampledLoop):
-        if loop.proof is not None and asked.acting is not None:
-            merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
-            deviations = [(merge.column, float(np.nextafter(float(merge.largest), np.inf))) for merge in merged]
-            errors = replace(errors_of(controller, loop.gains), deviations=deviations)
-            acts = asked.acting(controller, errors)
-            if acts is not None:
-                yield loop.proof, errors, acts
-
-
 @dataclass(kw_only=True)
 class _Search:
     """Looks for tubes: of the first with what it decays with best, of the others of its kind with the same."""
@@ -307,7 +321,7 @@ class _Search:
     shares: dict[bool, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, controller: ProvedController, claim: SampledBounds, proof: ClockedProof) -> "_Search":
+    def of(cls, controller: ProvedController, claim: TubeBounds, proof: ClockedProof) -> "_Search":
         system = claim.errors.clocked
         program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
         weights = _weights(controller, claim.forms)

@@ -1,4 +1,4 @@
-"""What is proved of the program for every plant of a box: its errors go to a bound, with the gains it runs with."""
+"""What is proved of the program for every plant of a box: its errors go to a bound, and how large that is in a run."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -8,9 +8,12 @@ import numpy as np
 
 from pwatrack.arrays import up
 from pwatrack.claims.exact_text import decimal, double, packed, whole
+from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop, errors_of
+from pwatrack.claims.sampled_bounds import TubeBounds, shown
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.sampled_search import with_corners
@@ -96,6 +99,40 @@ class SampledBox(Claim):
     def rate(self) -> float:
         """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
         return np.nan if self.proof is None else self.gains.passing(self.proof.rate)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledBoxBounds(TubeBounds):
+    """Tubes for all that acts in a run, and for all that a plant of the box does otherwise."""
+
+    statement: ClassVar[str] = (
+        "Under sampled_uncertain_bounds: the same as under sampled_bounds for every plant as under uncertain, with z' "
+        "as under sampled_uncertain; a disturbance has w = f_p(x_d) - f(x_d) + (B_p - B) u_nom in it, u_nom as it is "
+        "held along x_nom, and each entry of x_nom - x_d acts."
+    )
+    nothing: ClassVar[Mapping[str, Any]] = {"sampled_uncertain_bounds": []}
+    KEY: ClassVar[str] = "sampled_uncertain_bounds"
+
+    @classmethod
+    def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
+        """Yield the proof of the sampled loop for the box, its errors and what acts on them, where these are known."""
+        proofs = [box.proof for box in controller.claims_of(SampledBox) if box.proof is not None]
+        for proof in proofs if not controller.claims_of(Practical) else ():
+            for _, _, errors in _both(controller) if asked.acting is not None else ():
+                acts = None if asked.acting is None else asked.acting(controller, errors)
+                if acts is not None:
+                    yield proof, errors, acts
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        """Yield what is left of the errors in this run, whichever plant of the box runs."""
+        ends = ", ".join(words.limits(shown(self.ends_below(controller))))
+        said = "for every plant of the box, also where it changes in the run"
+        if self.idle:
+            yield "box, in this run", f"{said}, nothing acts on the sampled loop: its errors go to 0, but for rounding"
+        elif ends:
+            yield "box, in this run", f"{ends} in the end in the sampled loop, {said}, between ticks too"
+        else:
+            yield "box, in this run", f"no bound was found for what is left in the sampled loop {said}"
 
 
 def _both(controller: ProvedController) -> Iterator[tuple[SampledLoop, Robust, SampledErrors]]:

@@ -109,7 +109,7 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":
-        at = pivots(errors.R.centre)[k]
+        at = pivots(errors.followed.centre)[k]
         column = errors.mean.part(range(n), [at])
         nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column], rest)
         return Drive(held=_unit(order, at), between=nothing - nominal)

@@ -127,11 +127,17 @@ class SampledErrors:
         cells = different(self.plant.exact.A)
         return reduce(BallMatrix.__add__, cells).times(Fraction(1, len(cells)))
 
+    @property
+    def followed(self) -> BallMatrix:
+        """Rows of what the nominal loop is off x_d, by which A less A₀ acts: R, or all where another plant runs."""
+        return BallMatrix(identity(self.plant.B.shape[0])) if self.corners else self.R
+
     @cached_property
     def differing(self) -> list[int]:
-        """Rows of R in whose columns some A_i differs from the mean."""
-        rows, off = range(self.plant.B.shape[0]), [A - self.mean for A in self.cells]
-        columns = [[X.part(rows, [j]) for X in off] for j in pivots(self.R.centre)]
+        """Rows of what is followed in whose columns some A differs from the mean."""
+        cells = [A for corner in self.corners for A in corner.A] or self.cells
+        rows, off = range(self.plant.B.shape[0]), [A - self.mean for A in cells]
+        columns = [[X.part(rows, [j]) for X in off] for j in pivots(self.followed.centre)]
         return [k for k, each in enumerate(columns) if any(X.radius or any(X.centre.entries()) for X in each)]
 
     @property

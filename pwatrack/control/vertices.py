@@ -1,12 +1,45 @@
-"""Matrices that have some others in their hull, exactly, and the rows in which they differ."""
+"""Matrices that have some others in their hull, exactly, and the rows in which they, or plants, differ."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.model.pwa import PWASystem
+from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import Rational, fraction_of, identity, stacked
+
+
+@dataclass(frozen=True, kw_only=True)
+class Differences:
+    """Rows of A_i(p) − A_i, b_i(p) − b_i and B(p) − B of some plants, each once."""
+
+    A: Array  # in each cell, (R, l, n)
+    b: Array  # (R, l)
+    B: Array  # (R, m)
+    of: IntArray  # in which state equation each is, (R,)
+
+    @classmethod
+    def of_corners(cls, exact: Matrices, corners: Sequence[Matrices]) -> "Differences":
+        """Return those of plants at some corners from one."""
+        (n, m), cells = exact.B.shape, len(exact.A)
+        found = np.zeros((len(corners), cells, n, n + 1 + m))
+        for F, corner in zip(found, corners, strict=True):
+            pairs = (corner.A, exact.A), (corner.b, exact.b)
+            A, b = (np.array([(X - Y).floats for X, Y in zip(*pair, strict=True)]) for pair in pairs)
+            F[...] = np.concatenate([A, b, np.broadcast_to((corner.B - exact.B).floats, (cells, n, m))], axis=2)
+        each = [np.unique(found[:, :, k], axis=0) for k in range(n)]
+        each = [rows if rows.any() else rows[:0] for rows in each]
+        F = np.concatenate(each)
+        of = np.repeat(np.arange(n), [len(rows) for rows in each])
+        return cls(A=F[..., :n], b=F[..., n], B=F[:, 0, n + 1 :], of=of)
+
+    def rows(self, cell: int, x: Array) -> Array:
+        """Return rows of what is different of f at x = x (z, 1) in a cell, (R, p), for rows x (n, p)."""
+        rows = self.A[:, cell] @ x
+        rows[:, -1] += self.b[:, cell]
+        return np.asarray(rows)
 
 
 def outermost(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:

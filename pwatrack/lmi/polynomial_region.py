@@ -161,8 +161,11 @@ class _Search:
         sizes = np.array(ellipsoid.sizes)
         if len(loop.B.floats) < 2 or not len(some) or not (sizes[some] > 0).any():
             return None
-        T = short(np.linalg.inv(np.linalg.cholesky(floats(ellipsoid.P))))
-        back = np.linalg.inv(T)
+        try:
+            T = short(np.linalg.inv(np.linalg.cholesky(floats(ellipsoid.P))))
+            back = np.linalg.inv(T)
+        except np.linalg.LinAlgError:  # it is singular to working precision
+            return None
         unit = np.where(room > 0, room * float((sizes[some] / room[some]).max()), 1.0)
         M = np.array([T @ X.floats @ back for X in loop.M])
         speed = float(np.abs(M).max())
@@ -312,8 +315,9 @@ class _Search:
             )
             proof = prove_polynomial(CONTROLLER, X, near)
             if proof is not None and _inside(proof, self.G, weights):
-                sizes = [_size(proof, H[j]) if j in self.free else 0.0 for j in range(len(H))]
-                return PolynomialRegion(proof=proof, H=H, weights=weights, sizes=tuple(sizes))
+                sizes = [_size(proof, h) if h.any() else 0.0 for h in H]
+                if np.isfinite(sizes).all():
+                    return PolynomialRegion(proof=proof, H=H, weights=weights, sizes=tuple(sizes))
         return None
 
 
@@ -337,12 +341,11 @@ def _inside(proof: PolynomialProof, G: Array, weights: Sequence[float]) -> bool:
 
 
 def _size(proof: PolynomialProof, h: Array) -> float:
-    """Return a short s with |h e| ≤ s where V ≤ 1, proved in fractions."""
+    """Return a short s with |h e| ≤ s where V ≤ 1, proved in fractions; infinite where none is."""
     row = proof.monomials.power((decimals(h[None]) * decimals(proof.T).inv()).entries())
     column = flint.fmpq_mat(len(row), 1, row)
     P, near = floats(proof.P), floats(column)[:, 0]
     about = float(near @ np.linalg.solve(P, near)) ** (1 / proof.degree)
     tries = (float(f"{about * (1 + above):.12e}") for above in _ABOVE)
-    return next(
-        s for s in tries if is_positive_definite(proof.P * scalar(s) ** proof.degree - column * column.transpose())
-    )
+    square = column * column.transpose()
+    return next((s for s in tries if is_positive_definite(proof.P * scalar(s) ** proof.degree - square)), np.inf)

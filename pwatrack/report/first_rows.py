@@ -23,7 +23,7 @@ from pwatrack.report.required import Checked
 from pwatrack.simulation.figures import ERRORS
 from pwatrack.simulation.margins import worst
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.bands import covered
+from pwatrack.workflow.bands import covered, tube_bounds
 from pwatrack.workflow.cautions import Assessment
 from pwatrack.workflow.how_far import LargestBox
 from pwatrack.workflow.result import SimulatedLoop
@@ -119,7 +119,9 @@ def _proved(
         bounds = "in the end " + (", ".join(spec.words.limits(tracked)) or "no bound is proved")
         bounds = "error to 0" if tracked and not any(size for _, size in tracked) else bounds
         conditions = spec.scenario.conditions
-        bounds += " with the plant as designed" * (conditions.plant is not None or conditions.parameters is not None)
+        another = conditions.plant is not None or conditions.parameters is not None
+        of_box = runs and tube_bounds(controller, spec.objectives.uncertain, conditions)
+        bounds += " with the plant as designed" * (another and not of_box)
         yield "as sampled" if runs else ideal, f"{assessment.condition} {bounds}".lstrip()
 
 

@@ -26,6 +26,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.vertices import Differences
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
@@ -84,7 +85,7 @@ def acting(
         for k, steps in enumerate((conditions.quanta.inputs / 2).tolist()):
             squares["input", k] = np.full(count, steps**2)
             beside["input", k] = beside["input", k] + steps
-    idle = {("nominal", k) for k in range(errors.R.shape[0])} - {("nominal", k) for k in errors.differing}
+    idle = {("nominal", k) for k in range(errors.followed.shape[0])} - {("nominal", k) for k in errors.differing}
     acts = {channel: each for channel, each in squares.items() if each.any() and channel not in idle}
     return replace(found, squares=acts, beside=beside)
 
@@ -126,44 +127,53 @@ class _Walk:
     def __init__(self, controller: ProvedController, errors: SampledErrors, runs: SampledController) -> None:
         self._plant, self._trajectory, self._runs = controller.plant, controller.trajectory, runs
         self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, errors.gains.substeps
+        self._followed = errors.followed.floats
+        self._differs = Differences.of_corners(errors.plant.exact, errors.corners)
         self._tracked = np.eye(len(self._A0)) if controller.tracking == "state" else controller.plant.tracked
-        self._kind, at = controller.tracking, pivots(errors.R.centre)
-        self._rest = self._A0 - self._A0[:, at] @ self._R
+        self._kind, at = controller.tracking, pivots(errors.followed.centre)
+        self._rest = self._A0 - self._A0[:, at] @ self._followed
         self._late = float(errors.paces[-1] - 1)  # by how much more of its time passes than the program counts
         self._step = errors.gains.sample_time / self._parts
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
         self._flow, self._ticks = desired_flow(controller.plant, controller.trajectory), 0  # those before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
         self._last, self._changes = np.zeros(self._m), np.zeros(self._m)  # of u
+        self._sizes = np.zeros(len(self._followed))  # of x_d, as it is followed
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
         count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.model.partition.H
-        signals = m + len(self._tracked)
-        squares, areas, first = np.zeros((count, 2 * q + self._n)), np.zeros((count, 2 * q)), 0
+        p, signals = len(self._followed), m + len(self._tracked)
+        squares, areas, first = np.zeros((count, p + q + self._n)), np.zeros((count, p + q)), 0
         most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
+        other = np.zeros((count, len(self._differs.of)))
+        away = np.zeros((count, self._n))
         for segments, at in self._segments(eta, duration):
             found, at = spans(segments, self._rows), at + first
-            np.add.at(squares, at, np.delete(found.squares, range(2 * q, 2 * q + signals + len(H)), axis=1))
-            np.add.at(areas, at, found.areas[:, : 2 * q])
-            size = np.maximum(np.abs(found.low), np.abs(found.high))
-            np.maximum.at(most, at, size[:, 2 * q : 2 * q + signals])
+            late, size = p + q + signals + len(H), np.maximum(np.abs(found.low), np.abs(found.high))
+            np.add.at(squares, at, found.squares[:, [*range(p + q), *range(late, late + self._n)]])
+            np.add.at(areas, at, found.areas[:, : p + q])
+            np.maximum.at(most, at, size[:, p + q : p + q + signals])
+            np.maximum.at(other, at, size[:, late + self._n :])
             apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
-            np.minimum.at(near, at, apart[:, 2 * q + signals :][:, : len(H)])
+            np.minimum.at(near, at, apart[:, p + q + signals :][:, : len(H)])
             first = int(at[-1]) + 1
         squares, areas = squares * OVER_POWERS / self._step, areas * OVER_POWERS / self._step
-        least = _ROUNDING * np.concatenate([self._largest[m:], self._largest[m:], np.zeros(self._n)])
+        least = _ROUNDING * np.concatenate([self._sizes, self._largest[m:], np.zeros(self._n)])
         squares[:, np.sqrt(squares.max(axis=0)) <= least] = 0.0
-        squares[:, 2 * q :] *= self._late**2
+        squares[:, p + q :] *= self._late**2
+        for k, each in zip(self._differs.of, other.T, strict=True):
+            away[:, k] = np.maximum(away[:, k], each)
+        squares[:, p + q :] = (np.sqrt(squares[:, p + q :]) + (1 + self._late) * OVER_POWERS * away) ** 2
         most[:, :m][most[:, :m] <= _ROUNDING * self._largest[:m]] = 0.0
-        names: list[Channel] = [("nominal", k) for k in range(q)]
+        names: list[Channel] = [("nominal", k) for k in range(p)]
         names += [("moved", k) for k in range(q)]
         names += [("disturbance", k) for k in range(self._n)]
         forms: list[Form] = [("input", k) for k in range(m)]
         forms += [(self._kind, k) for k in range(len(self._tracked))]
         return Acting(
             squares=dict(zip(names, squares.T, strict=True)),
-            means=dict(zip(names[q : 2 * q], areas.T[q:], strict=True)),
+            means=dict(zip(names[p : p + q], areas.T[p:], strict=True)),
             beside=dict(zip(forms, most.T, strict=True)),
             planes=H,
             near=near,
@@ -173,9 +183,10 @@ class _Walk:
     def _rows(self, mode: Mode) -> Array:
         """Return rows on (e₀, what is held, η̂, w, 1).
 
-        They are R e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, and (x_d + e₀)' less A₀ ε_k R_k e₀.
+        They are what is followed of e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, (x_d + e₀)' less A₀ of
+        what is followed, and f_c(x_d) − f(x_d) + (B_c − B) u of the corners c.
         """
-        n, m, q, planes = self._n, self._m, self._q, self._plant.model.partition
+        n, m, q, planes, D = self._n, self._m, self._q, self._plant.model.partition, self._differs
         u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
         p, R, H, C, B = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B
         of_planes = H @ x_d
@@ -183,12 +194,13 @@ class _Walk:
         zero = np.zeros
         return np.vstack(
             [
-                np.hstack([R, zero((q, m + q + p))]),
+                np.hstack([self._followed, zero((len(self._followed), m + q + p))]),
                 np.hstack([R, zero((q, m)), -np.eye(q), R @ x_d]),
                 np.hstack([zero((m, n)), np.eye(m), zero((m, q)), -u_ff]),
                 np.hstack([C, zero((len(C), m + q + p))]),
                 np.hstack([H, zero((len(H), m + q)), of_planes]),
                 np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
+                np.hstack([zero((len(D.of), n)), D.B, zero((len(D.of), q)), D.rows(mode[0], x_d)]),
             ]
         )
 
@@ -201,6 +213,7 @@ class _Walk:
             flow, z0, duration=duration, sample_time=self._step, resets=resets, most=BLOCK * self._parts
         ):
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
+            self._sizes = np.maximum(self._sizes, np.abs(x_d @ self._followed.T).max(axis=0))
             known = zip(x_d[:: self._parts], ticks, strict=False)
             u = np.array([u_ff + self._runs.K @ (now - wanted) for now, (wanted, u_ff) in known])
             u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0

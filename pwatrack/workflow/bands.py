@@ -1,12 +1,14 @@
 """How large each signal of a run may be over time, proved for what acts in it: the bands of its pictures."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.sampled_bounds import SampledBounds, TubeBounds
+from pwatrack.claims.sampled_box import SampledBoxBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController, Seen
 from pwatrack.model.conditions import Conditions
@@ -27,6 +29,13 @@ def covered(box: Box, conditions: Conditions) -> bool:
     """Say whether the plant of a run is one of a box that bounds are proved for, and nothing else is changed."""
     others = {name: value for name, value in vars(conditions).items() if name not in ("plant", "parameters")}
     return bool(box) and all(v is None for v in others.values()) and inside(box, conditions.parameters or {})
+
+
+def tube_bounds(controller: ProvedController, box: Box, conditions: Conditions) -> Sequence[TubeBounds]:
+    """Return what bounds the errors of the sampled loop with the plant of a run; nothing where none is proved of it."""
+    if conditions.plant is None and conditions.parameters is None:
+        return controller.claims_of(SampledBounds)
+    return controller.claims_of(SampledBoxBounds) if box and inside(box, conditions.parameters or {}) else ()
 
 
 def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> dict[Form, Array]:
@@ -146,9 +155,7 @@ class Along:
     def _rows(self, mode: Mode) -> Array:
         """Return the rows of w for each of the differences, (R, N)."""
         cell, D = mode[self._generator], self._differences
-        rows = D.A[:, cell] @ self._loop.x_d[cell] + D.B @ self._loop.u_ff[cell]
-        rows[:, -1] += D.b[:, cell]
-        return np.asarray(rows)
+        return np.asarray(D.rows(cell, self._loop.x_d[cell]) + D.B @ self._loop.u_ff[cell])
 
 
 def _parts(segments: Segments, start: float, end: float, rows: int) -> Iterator[Segments]:

@@ -5,7 +5,7 @@ odd of a plant by itself, elements that give energy, modes that run away or are 
 only who knows the machine can say whether the file is right.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_box import SampledBoxBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_gains import sampled_gains
@@ -24,7 +25,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.margins import Margins, loop_margins, worst
 from pwatrack.simulation.modes import modes
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.bands import declared
+from pwatrack.workflow.bands import declared, tube_bounds
 from pwatrack.workflow.sizing import reference_sizes
 
 _HALF = 0.5  # of the reference: an error of this size is no tracking
@@ -78,14 +79,18 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     acting, claims = declared(spec, controller), controller.claims_of(SignalBounds)
     ends = claims[0].under(controller, acting) if acting and claims else {}
     condition = f"while {acting_text(spec.words, acting)}"
-    for sampled in filter(None, (claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))):
+    tubes = tube_bounds(controller, spec.objectives.uncertain, spec.scenario.conditions)
+    others = isinstance(next(iter(tubes), None), SampledBoxBounds)
+    tubes = tubes or controller.claims_of(SampledBounds)
+    for sampled in filter(None, (claim.ends_below(controller) for claim in tubes)):
         acts = {"noise": "noise", "quanta": "quantisation", "disturbance": "disturbance"}
         found = [said for name, said in acts.items() if getattr(spec.scenario.conditions, name) is not None]
+        found += ["any parameters of the box"] * others
         ends, condition = sampled, f"under {', '.join(found)}" if found else ""
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
-        *_disturbed(spec, controller, acting, ends),
+        *_disturbed(spec, controller, [*{kind for kind, _ in acting}, *["other parameters"] * others], ends),
         *_near_limits(spec, controller),
         *_sampling(spec, controller, margins),
         *_little_phase(controller, margins),
@@ -118,11 +123,11 @@ def _little_phase(controller: ProvedController, margins: Margins | None) -> Iter
 
 
 def _disturbed(
-    spec: Spec, controller: ProvedController, acting: Mapping[Channel, float], ends: Mapping[Form, float]
+    spec: Spec, controller: ProvedController, acting: Collection[str], ends: Mapping[Form, float]
 ) -> Iterator[str]:
     """Yield where what is proved under noise and disturbances of the file is more than is required, or half of y_d."""
     references = reference_sizes(spec, controller)
-    kinds = " and ".join(sorted({kind for kind, _ in acting}, reverse=True))
+    kinds = " and ".join(sorted(acting, reverse=True))
     for k, name in enumerate(controller.error_names):
         bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
         limits = [

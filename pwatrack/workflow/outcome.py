@@ -20,7 +20,7 @@ from pwatrack.real import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import ERRORS, Figures
 from pwatrack.simulation.trace import Trace, tenths
-from pwatrack.workflow.bands import Along, covered, limited, start_of_errors
+from pwatrack.workflow.bands import Along, covered, limited, start_of_errors, tube_bounds
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 
@@ -92,7 +92,8 @@ class RunMonitor:
         robust = next(iter(loop.controller.claims_of(Robust)), None)
         self._robust = robust if covered(box, loop.conditions) else None
         conditions = loop.conditions  # what else may be in them is counted in what acts
-        self._sampled = conditions.plant is None and conditions.sampling is not None and conditions.sampling.corrects
+        self._sampled = conditions.sampling is not None and conditions.sampling.corrects
+        self._tubes = tube_bounds(loop.controller, box, conditions)
         self._along = None if robust is None else Along(loop, robust, samples)
 
     def see(self, block: Response) -> None:
@@ -160,7 +161,7 @@ class RunMonitor:
             seen = Seen(t=t, start=start[: 2 * len(e)], acting={}, designed=False, w=w)
             allowed = self._robust.allows(controller, seen)
         self._sampled = self._sampled and not limited(self._loop, block)
-        for claim in controller.claims_of(SampledBounds) if self._sampled else ():
+        for claim in self._tubes if self._sampled else ():
             allowed |= claim.allows(controller, Seen(t=t, start=start, acting={}, designed=False, sampled=True))
         for form, bound in controller.with_left(allowed).items():
             if form[0] == self._tracked:

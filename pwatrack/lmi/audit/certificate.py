@@ -4,7 +4,19 @@ import os
 import stat
 from typing import Any
 
-from . import bounds, clocked, corners, region, sampled_box, sampled_region, set_points, simplified, starts, tubes
+from . import (
+    bounds,
+    clocked,
+    corners,
+    region,
+    sampled_box,
+    sampled_box_bounds,
+    sampled_region,
+    set_points,
+    simplified,
+    starts,
+    tubes,
+)
 from .bounds import Loop
 from .form import normal_form
 from .matrices import AuditFault, counted, transposed
@@ -31,7 +43,19 @@ DECIDED = {  # each claim of `reading.PROOFS`
     "no P, by unstable modes": no_P_by_modes,
 }
 # claims of a design: each has its KEY, its SHAPE, and `decided`
-CLAIMS = (bounds, set_points, starts, region, corners, simplified, clocked, tubes, sampled_region, sampled_box)
+CLAIMS = (
+    bounds,
+    set_points,
+    starts,
+    region,
+    corners,
+    simplified,
+    clocked,
+    tubes,
+    sampled_region,
+    sampled_box,
+    sampled_box_bounds,
+)
 DESIGN = REFUSAL | {"eta_with_loads?": ROWS, "K_of_least_cost?": ROWS} | {claim.KEY: claim.SHAPE for claim in CLAIMS}
 ANEW = "write it anew with 'pwatrack design', or check it with the version that wrote it"
 _MOST_BYTES = 2**28  # of the file

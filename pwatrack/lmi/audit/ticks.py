@@ -91,6 +91,11 @@ class AuditedErrors:
             raise AuditFault("the rows of the sampled loop are not in their echelon form")
         return [columns.index(unit) for unit in units]
 
+    @property
+    def followed(self) -> list[int]:
+        """Entries of what the nominal loop is off x_d that act: all where one of some corners runs."""
+        return [*range(self.n)] if self.corners else self.at_rows
+
     @cached_property
     def mean(self) -> Ball:
         """The mean of all different A_i, for the nominal loop."""

@@ -23,12 +23,16 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         return [], []
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
-    distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
     merged = [] if whole["practical"] is None else whole["practical"]["merged"]
-    tubes = Tubes(AuditedErrors(whole["sampled"], loop, predicted(whole)), whole["sampled"], merged)
-    faults = [f"the sampled loop, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
+    return left(found, Tubes(AuditedErrors(whole["sampled"], loop, predicted(whole)), whole["sampled"], merged), "")
+
+
+def left(found: Any, tubes: "Tubes", of: str) -> tuple[list[str], list[str]]:
+    """Return what is wrong with tubes, and what they claim, of some plants."""
+    distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
+    faults = [f"the sampled loop{of}, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
     channels = {tuple(entry["channel"]) for entry in found}
-    return faults, [f"the sampled loop: what {len(channels)} disturbances, noises and inputs leave is proved"]
+    return faults, [f"the sampled loop{of}: what {len(channels)} disturbances, noises and inputs leave is proved"]
 
 
 class Tubes:
@@ -100,7 +104,7 @@ class Tubes:
             "noise": len(self.errors.plant.C[0]),
             "input": m,
             "moved": q,
-            "nominal": q,
+            "nominal": len(self.errors.followed),
         }
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
@@ -118,7 +122,8 @@ class Tubes:
             kicks = [reduce(stacked, [column([e]), nu, M, *below, *more]) for nu, more in put_out]
             return nothing, nothing, kicks
         if kind == "nominal":
-            at, mean = self.errors.at_rows[k], self.errors.mean.column(self.errors.at_rows[k])
+            at = self.errors.followed[k]
+            mean = self.errors.mean.column(at)
             e[at] = Fraction(1)
             nominal = [
                 mean,
