@@ -263,6 +263,29 @@ def test_of_a_w_that_took_too_long_to_enclose_nothing_is_said(tmp_path: Path, mo
     assert "along_x_d" not in json.loads((tmp_path / "out" / "run.json").read_text(encoding="utf-8"))["uncertain"]
 
 
+@pytest.mark.parametrize(
+    ("other", "more", "said"),
+    [
+        ("d: 8.8", "", "the plant of this run is one of them; in the end"),
+        (
+            "d: 8.8",
+            "  noise: {std: {y: 0.0001}, sample_time: 0.05, seed: 1}",
+            "one of them, its loop is not the ideal one; in",
+        ),
+        ("d: 9.8", "", "this run is not one of them; in the end"),
+        ("m: 2.1", "", "this run is not one of them; in the end"),
+    ],
+)
+def test_it_is_said_whether_plant_and_loop_are_those_of_the_bounds(
+    tmp_path: Path, other: str, more: str, said: str
+) -> None:
+    path = tmp_path / "short.yaml"
+    changes = {"box": "d: 10%", "reference": '"0.15*cos(2*pi*t)"', "duration": 2, "step": 0.05, "start": 0.15}
+    path.write_text(SHORT.format(**changes, other=other) + more + "\n")
+    [row] = run_rows(simulate(load_spec(path)))
+    assert said in row
+
+
 def test_w_is_enclosed_where_every_sample_misses_it(tmp_path: Path) -> None:
     """A sinusoid of 1 Hz whose velocity is 0 at each sample, twice a second: |w| ≤ 0.8/2 |v_d| everywhere else."""
     path = tmp_path / "short.yaml"

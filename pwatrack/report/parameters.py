@@ -9,6 +9,7 @@ from pwatrack.arrays import up
 from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Form
 from pwatrack.control.words import sized
+from pwatrack.real import inside
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
 from pwatrack.workflow.bands import covered
@@ -75,15 +76,19 @@ def _along_text(result: SimulatedLoop, robust: Robust) -> str:
     start = _since(result)[1]
     window = f" from t = {start:.6g} s on" if start else ""
     while_small = f"in the end, as long as w is no larger than in this run{window}"
-    inside, texts = covered(result.spec.objectives.uncertain, result.loop.conditions), list[str]()
+    box, conditions, texts = result.spec.objectives.uncertain, result.loop.conditions, list[str]()
+    covered_here = covered(box, conditions)
     for name, found in box_figures(result, robust).items():
         unit, late = f" {units[name]}".rstrip(), ", not yet" if found["seen"] > found["bound"] else ""
-        here = f", here {found['seen']:.3g}{unit}{late}" if inside else ""
+        here = f", here {found['seen']:.3g}{unit}{late}" if covered_here else ""
         texts.append(f"{sized(name)} ≤ {up(found['bound'])}{unit}{here}")
-    if inside:
+    if covered_here:
         here = f"and at the samples of the last tenth here: {'; '.join(texts)}"
         return f"the plant of this run is one of them; {while_small}, {here}"
-    return f"this run is not one of them; {while_small}: {', '.join(texts)}"
+    which = "this run is not one of them"
+    if inside(box, conditions.parameters or {}):
+        which = "the plant of this run is one of them, its loop is not the ideal one"
+    return f"{which}; {while_small}: {', '.join(texts)}"
 
 
 def how_far_texts(found: HowFar) -> list[str]:

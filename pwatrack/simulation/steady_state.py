@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from pwatrack.arrays import Array, balancing
+from pwatrack.arrays import TINY, Array, balancing
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import InvalidSpec, OutsideTheory, ProblemPart, PwatrackError, Remedy, Subject, Way
@@ -25,7 +25,7 @@ from pwatrack.simulation.trace import Trace
 LONGEST_PERIOD = 1e6  # radians in which a steady state is looked for
 
 _SAMPLES = 400  # in the period
-_TOLERANCE = 1e-11  # of the largest state, after one period
+_TOLERANCE = 1e-11  # of what a state is made of, after one period
 _MOST_STEPS = 50  # of Newton's method, which settles in a few or not at all
 _GIVEN = Remedy(Way.DESIRED_START)
 _GENERATOR: Subject = (ProblemPart.GENERATOR_START,)
@@ -37,7 +37,9 @@ class SteadyState(Trace):
     """One period of a periodic solution."""
 
     multipliers: npt.NDArray[np.complex128]  # Floquet multipliers, of deviations in one period, largest first, (free,)
-    residual: float  # by how much the state misses itself after one period, at most, relative to the largest state
+    # by how much a state misses itself after one period, at most, relative to the terms that it is the sum of then: what
+    # each state at the start leaves of it
+    residual: float
 
 
 def periodic_state(
@@ -63,13 +65,15 @@ def periodic_state(
     for _ in range(_MOST_STEPS):
         trace = simulate_flow(flow, z, duration=period, sample_time=period / _SAMPLES)
         miss = trace.z[-1, :free] - z[:free]
-        residual = float(np.abs(miss).max(initial=0.0) / max(np.abs(trace.z).max(), 1e-300))
-        monodromy = period_map_derivative(flow, trace)[:free, :free]
+        whole, most = period_map_derivative(flow, trace), np.abs(trace.z).max(axis=0)
+        terms = (most + np.abs(whole) @ most)[:free]
+        residual = float((np.abs(miss) / np.maximum(terms, TINY)).max(initial=0.0))
+        monodromy = whole[:free, :free]
         if residual <= _TOLERANCE:
             multipliers = np.linalg.eigvals(monodromy).astype(np.complex128)
             multipliers = multipliers[np.argsort(-np.abs(multipliers))]
             last, found = found, SteadyState(**vars(trace), multipliers=multipliers, residual=residual)
-            if last is not None or not free:  # one step more: what is small beside the largest state settles too
+            if last is not None or not free:  # one step more: what is small beside its terms settles too
                 return found
         gap = np.eye(free) - monodromy
         d = balancing(monodromy[None])
