@@ -37,8 +37,8 @@ class SteadyState(Trace):
     """One period of a periodic solution."""
 
     multipliers: npt.NDArray[np.complex128]  # Floquet multipliers, of deviations in one period, largest first, (free,)
-    # by how much a state misses itself after one period, at most, relative to the terms that it is the sum of then: what
-    # each state at the start leaves of it
+    # by how much a state misses itself after one period, at most, relative to the terms of its sum then: what
+    # each state at the start leaves in it
     residual: float
 
 
