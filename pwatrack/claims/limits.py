@@ -344,11 +344,12 @@ def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
 
 def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
-    G, n, N = starts.G, len(starts.e), 0 if starts.delta is None else len(starts.e)
-    told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
+    G, n = starts.G, len(starts.e)
+    told = np.array(doubles(entries[starts.kind]["starts"])) if starts.kind in entries else G
+    G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
     if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
         return starts
-    delta, load = told[n : n + N] if N else None, None if starts.load is None else told[n + N :]
+    delta, load = (rows if len(rows) else None for rows in (told[n : 2 * n], told[2 * n :]))
     return replace(starts, e=told[:n], delta=delta, load=load)
 
 

@@ -134,13 +134,13 @@ def from_this_start(
     """Say whether some guarantee is of the start of the run, with the loads that act in it."""
     loads = controller.plant.loads
     run = next((starts for starts in room.starts if starts.kind == "run"), None)
-    bears = loads is None
+    bears = exact = loads is None or (run is not None and run.delta is None)
     if loads is not None and left is not None and run is not None and run.load is not None:
         at, acting = np.array(loads.inputs(controller.plant.exact.B) or ()), -run.load.sum(axis=1)
         each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
         bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
     every = (one for one in found if one.starts.kind == "every")
-    whole = any(loads is None or one.starts.delta is not None for one in every)
+    whole = any(exact or one.starts.delta is not None for one in every)
     return (bears and whole) or any(one.of_this_run(left) for one in found)
 
 

@@ -192,8 +192,9 @@ class _Search:
     @cached_property
     def starts(self) -> list[Starts]:
         """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0)."""
-        off = self.off[:, self.off.any(axis=0)]
-        return [one if one.kind in ("exact", "sizes", "members") else _more(one, off) for one in self.room.starts]
+        off, loads = self.off[:, self.off.any(axis=0)], self.loops.N - self.loops.n
+        own = ("exact", "sizes", "members")
+        return [one if one.kind in own else _more(one, off, loads) for one in self.room.starts]
 
     @property
     def every(self) -> Starts:
@@ -336,16 +337,18 @@ def _beyond(controller: ProvedController, loop: SampledLoop, room: Headroom) -> 
     return ""
 
 
-def _more(starts: Starts, off: Array) -> Starts:
-    """Return starts with x̂ − x by so much more, whatever its sign."""
-    if starts.delta is None or not off.size:
+def _more(starts: Starts, off: Array, loads: int) -> Starts:
+    """Return starts with x̂ − x by so much more, whatever its sign, of a plant with so many states of loads."""
+    if not off.size:
         return starts
-    load, more = starts.load, off.shape[1]
+    e, more = starts.e, np.zeros_like(off)
+    delta = np.zeros_like(e) if starts.delta is None else starts.delta
+    load = np.zeros((loads, e.shape[1])) if starts.load is None else starts.load
     return replace(
         starts,
-        e=np.hstack([starts.e, np.zeros_like(off)]),
-        delta=np.hstack([starts.delta, off]),
-        load=None if load is None else np.hstack([load, np.zeros((len(load), more))]),
+        e=np.hstack([e, more]),
+        delta=np.hstack([delta, off]),
+        load=np.hstack([load, np.zeros((loads, off.shape[1]))]) if loads else None,
     )
 
 

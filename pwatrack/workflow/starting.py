@@ -1,6 +1,7 @@
 """Where the parts of a run start, as its spec says."""
 
 from collections.abc import Iterator, Mapping
+from typing import Literal
 
 import numpy as np
 
@@ -99,14 +100,13 @@ def starts_of(
             x_hat, own = np.hstack([start[:, :1], np.zeros((n, x.shape[1] - 1))]), start[:, 1:]
         e = np.hstack([x, np.zeros(own.shape)])
         e[:, 0] -= x_d
-        load = np.zeros((len(sizes.load), e.shape[1]))
+        load, delta = np.zeros((len(sizes.load), e.shape[1])), np.hstack([x_hat - x, own])
         load[:, 0] = acting
-        yield Starts(
-            kind="ensemble" if varied else "run",
-            e=e,
-            delta=np.hstack([x_hat - x, own]),
-            load=load if len(load) else None,
-        )
+        if not varied and not delta.any() and not load.any():
+            yield Starts(kind="run", e=e)
+            continue
+        kind: Literal["ensemble", "run"] = "ensemble" if varied else "run"
+        yield Starts(kind=kind, e=e, delta=delta, load=load if len(load) else None)
         if varied:
             yield Starts(kind="members", e=e[:, : x.shape[1]])
 
