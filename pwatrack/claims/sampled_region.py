@@ -46,6 +46,7 @@ class SampledRegion(Claim):
         room: What the feedforward and all that acts leave of the limits.
         changes: What both leave of what inputs may change by in a sample, (m,); None where these have no such limits.
         idle: Whether nothing acts.
+        late: Whether inputs are: then starts are as the first input of the program acts, not as the run begins.
         found: What is proved of some starts, each by a `ClockedRegion`.
         missing: Why it is of none; "" where it is of some.
     """
@@ -53,18 +54,19 @@ class SampledRegion(Claim):
     room: Headroom = field(repr=False)
     changes: Array | None = field(repr=False)
     idle: bool
+    late: bool = False
     found: tuple[StartGuarantee, ...] = ()
     missing: str = ""
 
     statement: ClassVar[str] = (
         "Under sampled_regions: z as under sampled, before a tick, with nu = 0 and rho = 0 at the starts, D the rows "
-        "of J for nu, less U (s_hat - s) after the tick, J_S with H_S in place of D_S for all sets S of the inputs "
-        "with limits: P as under sampled with rate 0 and J_S^T P_0 J_S < P_N for all S at ticks, z^T P_N z <= 1 at the "
-        "starts, and |H z| <= the sizes where it is so. So z, less what all that acts makes of it "
-        "without limits along the same switching, goes to 0 from starts scaled by c, with u cut off anywhere beyond c "
-        "times these sizes and loads and what that makes of u; with H = 0 and no starts, from all. A row of a change "
-        "is one more in place of the D of its input, nu + H z: with u changing by c times its size at least and what "
-        "that makes of the change."
+        "of J for nu, without delay less U (s_hat - s) after the tick, J_S with H_S in place of D_S for all sets S of "
+        "the inputs with limits: P as under sampled with rate 0 and J_S^T P_0 J_S < P_N for all S at ticks, z^T P_N z "
+        "<= 1 at the starts, and |H z| <= the sizes where it is so. So z, less what all that acts makes of it without "
+        "limits along the same switching, goes to 0 from starts scaled by c, with u cut off anywhere beyond c times "
+        "these sizes and loads and what that makes of u; with H = 0 and no starts, from all. A row of a change is one "
+        "more in place of the D of its input, nu + H z: with u changing by c times its size at least and what that "
+        "makes of the change."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_regions": []}
 
@@ -110,6 +112,7 @@ class SampledRegion(Claim):
             return
         for one in self.found:
             starts = starts_said(self.room, left, words, controller, one)
+            starts += ", as the first input acts" * (self.late and one.starts.kind != "every")
             yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}"
             label = ""
 
@@ -159,7 +162,7 @@ class _Search:
         for loop in controller.claims_of(SampledLoop) if room is not None else ():
             if loop.proof is None or room is None:
                 continue
-            taken, idle, missing, changes = np.full(1, np.inf), False, _beyond(controller, loop, room), asked.changes
+            taken, idle, missing, changes = np.full(1, np.inf), False, _beyond(controller, room), asked.changes
             X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
             X = X if asked.measured is None else asked.measured
             for bounds in controller.claims_of(SampledBounds) if not missing else ():
@@ -176,8 +179,9 @@ class _Search:
 
     def told(self, found: tuple[StartGuarantee, ...]) -> SampledRegion:
         """Return the claim."""
-        missing = self.missing or _NOT_FOUND * (not found)
-        return SampledRegion(room=self.room, changes=self.changes, idle=self.idle, found=found, missing=missing)
+        missing, late = self.missing or _NOT_FOUND * (not found), self.loop.gains.delay > 0
+        room, changes, idle = self.room, self.changes, self.idle
+        return SampledRegion(room=room, changes=changes, idle=idle, late=late, found=found, missing=missing)
 
     @cached_property
     def errors(self) -> SampledErrors:
@@ -191,7 +195,12 @@ class _Search:
 
     @cached_property
     def starts(self) -> list[Starts]:
-        """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0)."""
+        """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0).
+
+        Where inputs are late what errors are as the first one acts is known of none but x̂ = x, predicted as it is.
+        """
+        if self.loop.gains.delay:
+            return [one for one in self.room.starts if one.kind == "exact"]
         off, loads = self.off[:, self.off.any(axis=0)], self.loops.N - self.loops.n
         own = ("exact", "sizes", "members")
         return [one if one.kind in own else _more(one, off, loads) for one in self.room.starts]
@@ -235,7 +244,7 @@ class _Search:
         errors, gains, inputs, (n, m, N, *_) = self.errors, self.loop.gains, self.room.inputs, self.errors.widths
         corrects = gains.M @ errors.plant.observed.C.floats / gains.sample_time
         own = [*range(n), *range(n + m, n + m + N)]
-        W = drives(errors, tuple(range(m)))[:, n:]
+        W = _beside(errors, tuple(range(m)))[:, n:]
         D, B = np.hstack([gains.K, gains.K @ np.eye(n, N) + W[:, m : m + N]]), errors.plant.B
         seen = [A if errors.plant.loads is None else errors.plant.loads.observed(A) for A in errors.seen]
         pairs = [
@@ -270,6 +279,9 @@ class _Search:
         assert left is not None
         before, own, inputs = self._before(starts), [*range(n), *range(n + m, n + m + N)], len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
+        if self.loop.gains.delay:  # an input is made of the oldest prediction
+            oldest = n + m + (self.errors.predicted - 1) * N
+            ticked = np.eye(self.errors.order)[[*range(n), *range(oldest, oldest + N)]]
         change = (ticks.D.floats - ticks.before.floats)[inputs:]
         for shares in _SHARES:
             rates = [share * self.proof.rate for share in shares]
@@ -317,21 +329,25 @@ class _Search:
 
 def drives(errors: SampledErrors, inputs: Sequence[int]) -> Array:
     """Return the rows on z that read u − u_ff of some inputs, and what is taken off for loads, (inputs, order)."""
+    rows = np.zeros((len(inputs), errors.order)) if errors.gains.delay else _beside(errors, inputs)
+    rows[range(len(inputs)), [len(errors.plant.B) + k for k in inputs]] = 1.0
+    return rows
+
+
+def _beside(errors: SampledErrors, inputs: Sequence[int]) -> Array:
+    """Return what is taken off ν for loads, where it is not in ν: see `sampled_error`."""
     (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
-    rows[range(len(inputs)), [n + k for k in inputs]] = 1.0
     for place, at in enumerate((loads and loads.inputs(errors.plant.exact.B)) or ()):
         rows[[j for j, k in enumerate(inputs) if k == at], n + m + n + place] = -1.0
     return rows
 
 
-def _beyond(controller: ProvedController, loop: SampledLoop, room: Headroom) -> str:
+def _beyond(controller: ProvedController, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
     if room.peak is None:
         return "x_d takes too long to follow, so what its feedforward takes is not known"
     if room.spare is None:
         return "the feedforward takes more than the limits, from where the generator starts"
-    if loop.gains.delay:
-        return "inputs are late, and what waits as the run begins acts too"
     if on_estimates(controller) is not None:
         return "x_d depends on estimates of loads"
     return ""

@@ -292,7 +292,8 @@ def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tup
     circle = np.column_stack([np.cos(angles), np.sin(angles)]) * controller.sizes.state[list(plane)]
     reached: Sequence[LimitedRegion | SampledRegion] = controller.claims_of(SampledRegion)
     reached = reached or controller.claims_of(LimitedRegion)
-    kinds = [("goes to 0, limits reached or not", one.left, one.found) for one in reached]
+    late = any(claim.late for claim in controller.claims_of(SampledRegion))  # of errors later than at the start
+    kinds = [("goes to 0, limits reached or not", one.left, one.found) for one in reached if not late]
     kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
     for said, left, guarantees in kinds:
         found = (one.outline(left, plane, circle) for one in guarantees) if left is not None else ()

@@ -25,8 +25,8 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("there are regions of a sampled loop, and none is proved")
     distinct([[entry["of"]] for entry in found], "a region of the sampled loop")
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole))
-    if errors.late or errors.estimates is not None:
-        raise AuditFault("regions are not said of late inputs, and of loads that do not only act at inputs")
+    if errors.estimates is not None:
+        raise AuditFault("regions are not said of loads that do not only act at inputs")
     kind_of(loop, "joint")
     faults = [
         f"sampled region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(errors, entry, whole)
@@ -85,7 +85,7 @@ def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any
     for k, is_change, row in zip(inputs, changing, H, strict=True):
         made, before = J.row(n + k), eye.row(n + k)
         for load in range(len(errors.at)):
-            if errors.at[load] == k:
+            if errors.at[load] == k and not errors.late:  # else it is in nu
                 made, before = made - J.row(n + m + n + load), before - eye.row(n + m + n + load)
         rest = Ball([row]) + before - made if is_change else Ball([row]) - made
         changes[k].append(eye.row(n + k).T @ rest)
