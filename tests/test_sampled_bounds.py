@@ -34,6 +34,7 @@ from pwatrack.simulation import acting
 from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.propagate import simulate_flow
 from tests.sampled import asking, worst_found
+from tests.test_cli import call
 
 MACHINE = """
   controller: {sample_time: 0.1}
@@ -187,7 +188,7 @@ def fine_walk(spec: Spec, controller: ProvedController, start: list[float], fine
     e, found = np.zeros(len(A)), list[tuple[Array, Array, Array]]()
     for k in range(count * r):
         if k % r == 0:
-            wanted, known = next(holds)
+            wanted, known, *_ = next(holds)
             held = known + gains.K @ (x_d[k * fine] - wanted) + gains.K @ e
         for i in range(fine + 1):
             at_i = k * fine + i
@@ -568,3 +569,10 @@ def test_what_is_merged_is_in_the_certificate_of_the_sampled_loop(merged: tuple[
     runs = {"all cells": "merged cells", "merged cells": "all cells"}
     content["practical"]["observer_runs"] = runs[content["practical"]["observer_runs"]]
     assert audit(json.dumps(content))[1]
+
+
+def test_where_nothing_acts_but_sampling_a_bound_above_what_is_required_is_said_so(tmp_path: Path) -> None:
+    path = tmp_path / "friction.yaml"
+    path.write_text(FRICTION + "require:\n  final_errors: {y: 1e-6}\n", encoding="utf-8")
+    said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert "warning in the sampled loop no better than |y − y_d| ≤" in said

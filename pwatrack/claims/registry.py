@@ -10,6 +10,7 @@ from pwatrack.claims.decay import Decay
 from pwatrack.claims.kept import KeptLimits
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
+from pwatrack.claims.ranges import ProgramRanges
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop
@@ -25,6 +26,7 @@ CLAIMS: tuple[type[Claim], ...] = (
     Practical,
     SampledLoop,
     SampledBounds,
+    ProgramRanges,
     Decay,
     Costs,
     SetPoints,

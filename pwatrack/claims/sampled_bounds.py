@@ -140,10 +140,14 @@ class TubeBounds(Claim):
         Then by how much it changes them from one tick to the next at most, with all that they change by along x_d, from
         0 on. It is for the loop without limits; `rows` read them off z, less estimates of loads.
         """
-        levels = self._levels(np.ones(len(self.acts.near)))
-        most = self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0)
+        most = self.off(rows)
         beside = [self.acts.beside.get(("input", k), np.zeros(1)).max() for k in inputs]
         return (most + beside) * OVER_SUMS, (2 * most + self.acts.changes[list(inputs)]) * OVER_SUMS
+
+    def off(self, rows: Array) -> Array:
+        """Return what all that acts makes of other rows of z at most, (s,), from error 0 on, for any switching."""
+        levels = self._levels(np.ones(len(self.acts.near)))
+        return np.asarray(self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0))
 
     def _levels(self, where: Array) -> dict[Channel, list[Array]]:
         """Return V^½ of each tube in each substep, where predictions cross planes in some substeps at most."""

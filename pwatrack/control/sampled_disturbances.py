@@ -27,7 +27,7 @@ which both are on one side of every plane.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
@@ -52,6 +52,8 @@ class Acting:
         planes: Normals of the planes between cells, (P, n).
         near: How near x_d + e₀ comes to each of them, in H x, (K, P).
         changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
+        along: Between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held;
+            x_d, u_ff, eta_hat and w at ticks.
     """
 
     squares: Mapping[Channel, Array]
@@ -60,6 +62,7 @@ class Acting:
     planes: Array
     near: Array
     changes: Array
+    along: Mapping[str, Array] = field(default_factory=dict)
 
 
 def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where: Array | float = 1.0) -> Array:

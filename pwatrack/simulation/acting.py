@@ -139,11 +139,12 @@ class _Walk:
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
         self._last, self._changes = np.zeros(self._m), np.zeros(self._m)  # of u
         self._sizes = np.zeros(len(self._followed))  # of x_d, as it is followed
+        self._along = dict[str, Array]()  # between what numbers of the program are
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
         count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.model.partition.H
-        p, signals = len(self._followed), m + len(self._tracked)
+        p, signals, outputs = len(self._followed), m + len(self._tracked), len(self._plant.C)
         squares, areas, first = np.zeros((count, p + q + self._n)), np.zeros((count, p + q)), 0
         most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
         other = np.zeros((count, len(self._differs.of)))
@@ -154,7 +155,9 @@ class _Walk:
             np.add.at(squares, at, found.squares[:, [*range(p + q), *range(late, late + self._n)]])
             np.add.at(areas, at, found.areas[:, : p + q])
             np.maximum.at(most, at, size[:, p + q : p + q + signals])
-            np.maximum.at(other, at, size[:, late + self._n :])
+            np.maximum.at(other, at, size[:, late + self._n :][:, : len(self._differs.of)])
+            for name, columns in (("x_hat", slice(-self._n - outputs, -outputs)), ("y", slice(-outputs, None))):
+                self._see(name, found.low[:, columns], found.high[:, columns])
             apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
             np.minimum.at(near, at, apart[:, p + q + signals :][:, : len(H)])
             first = int(at[-1]) + 1
@@ -178,18 +181,27 @@ class _Walk:
             planes=H,
             near=near,
             changes=self._changes * OVER_POWERS,
+            along=self._along,
+        )
+
+    def _see(self, name: str, low: Array, high: Array) -> None:
+        """Take lower and upper ends of some numbers, (K, k) each, into account."""
+        ends = np.column_stack([low.min(axis=0), high.max(axis=0)])
+        before = self._along.get(name, ends)
+        self._along[name] = np.column_stack(
+            [np.minimum(before[:, 0], ends[:, 0]), np.maximum(before[:, 1], ends[:, 1])]
         )
 
     def _rows(self, mode: Mode) -> Array:
         """Return rows on (e₀, what is held, η̂, w, 1).
 
         They are what is followed of e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, (x_d + e₀)' less A₀ of
-        what is followed, and f_c(x_d) − f(x_d) + (B_c − B) u of the corners c.
+        what is followed, f_c(x_d) − f(x_d) + (B_c − B) u of the corners c, x_d + e₀, and what is measured there.
         """
         n, m, q, planes, D = self._n, self._m, self._q, self._plant.model.partition, self._differs
         u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
         p, R, H, C, B = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B
-        of_planes = H @ x_d
+        of_planes, nominal = H @ x_d, np.hstack([np.eye(n), np.zeros((n, m + q)), x_d])
         of_planes[:, -1] += planes.h
         zero = np.zeros
         return np.vstack(
@@ -201,6 +213,8 @@ class _Walk:
                 np.hstack([H, zero((len(H), m + q)), of_planes]),
                 np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
                 np.hstack([zero((len(D.of), n)), D.B, zero((len(D.of), q)), D.rows(mode[0], x_d)]),
+                nominal,
+                self._plant.C @ nominal,
             ]
         )
 
@@ -214,8 +228,10 @@ class _Walk:
         ):
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
             self._sizes = np.maximum(self._sizes, np.abs(x_d @ self._followed.T).max(axis=0))
-            known = zip(x_d[:: self._parts], ticks, strict=False)
-            u = np.array([u_ff + self._runs.K @ (now - wanted) for now, (wanted, u_ff) in known])
+            known = [(now, *own) for now, own in zip(x_d[:: self._parts], ticks, strict=False)]
+            for name, values in zip(("x_d", "u_ff", "eta_hat", "w"), [*zip(*known, strict=True)][1:], strict=True):
+                self._see(name, np.array(values), np.array(values))
+            u = np.array([u_ff + self._runs.K @ (now - wanted) for now, wanted, u_ff, *_ in known])
             u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0
             yield self._beside(flow, trace, x_d @ self._R.T, u)
             self._ticks += len(u)
@@ -238,6 +254,7 @@ class _Walk:
                     held[:m] = u[substep // self._parts] + self._runs.K @ e
                     self._changes = np.maximum(self._changes, np.abs(held[:m] - self._last))
                     self._last = held[:m].copy()
+                    self._see("u", held[None, :m], held[None, :m])
                 held[m:], last = moving[substep] + self._R @ e, substep
             before[i, :n], before[i, n:] = e, held
             e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
@@ -257,8 +274,8 @@ class _Walk:
         return turns
 
 
-def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield x_d and u_ff as the program has them for what it holds from each tick on, from η̂(0) at the first.
+def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Yield x_d, u_ff, η̂ and w as the program has them for what it holds from each tick on, from η̂(0) at the first.
 
     Loads that it estimates are to move no x_d. Before the first input that it puts out it has 0.
     """
@@ -272,7 +289,7 @@ def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
     for early in follows.early:
         s = np.concatenate([eta, early, [1.0]])
         cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
-        yield x_d[cell] @ s, np.zeros(u_ff.shape[1])
+        yield x_d[cell] @ s, np.zeros(u_ff.shape[1]), eta, early
         eta = generator[cell] @ s
     while True:
         while begins and begins[0][0] <= tick:
@@ -280,5 +297,5 @@ def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array]]:
             w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
         s = np.concatenate([eta, w, [1.0]])
         cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
-        yield x_d[cell] @ s, u_ff[cell] @ s
+        yield x_d[cell] @ s, u_ff[cell] @ s, eta, w
         eta, w, tick = generator[cell] @ s, follows.turn[0] @ w if len(w) else w, tick + 1

@@ -128,6 +128,7 @@ def _disturbed(
     """Yield where what is proved under noise and disturbances of the file is more than is required, or half of y_d."""
     references = reference_sizes(spec, controller)
     kinds = " and ".join(sorted(acting, reverse=True))
+    under = f"under {kinds}" if kinds else "in the sampled loop"
     for k, name in enumerate(controller.error_names):
         bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
         limits = [
@@ -139,13 +140,15 @@ def _disturbed(
         most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
         if bound is not None and bound > most > 0:
             yield (
-                f"under {kinds} no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                f"{under} no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
                 + f" is proved; {most:.3g} {unit}".rstrip()
                 + f" is {what}; {_calmer(kinds)}"
             )
 
 
 def _calmer(kinds: str) -> str:
+    if not kinds:
+        return "sample more often, and with less jitter"
     if "noise" in kinds:
         return "raise 'sizes' of outputs: a calmer observer"
     return "raise 'sizes' of inputs: a faster K; or 'estimate' the load"

@@ -1,0 +1,98 @@
+"""Between what the numbers of the program are: against runs of the exported program beside an independent plant."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pwatrack import Spec, design, load_spec
+from pwatrack.arrays import Array
+from pwatrack.claims.ranges import ProgramRanges
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.sampled_disturbances import row
+from pwatrack.export.controller import Controller
+from pwatrack.model.pwa import PWASystem
+from pwatrack.report.files import write_design
+from tests.test_cli import call
+from tests.test_sampled_bounds import FRICTION, MACHINE
+
+
+@pytest.fixture(scope="module", params=["two masses", "friction"])
+def machine(
+    request: pytest.FixtureRequest, specs: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Spec, ProvedController, Path]:
+    text = (specs / "two_mass_paper_gains.yaml").read_text(encoding="utf-8")
+    text = text.replace("\nsimulation:\n", f"\nsimulation:{MACHINE}") if request.param == "two masses" else FRICTION
+    folder = tmp_path_factory.mktemp("ranges")
+    (folder / "plant.yaml").write_text(text, encoding="utf-8")
+    spec = load_spec(folder / "plant.yaml")
+    controller = design(spec)
+    return spec, controller, write_design(spec, controller, folder / "out")
+
+
+def ran(spec: Spec, controller: ProvedController, folder: Path, seed: int, *, single: bool) -> dict[str, Array]:
+    """Return y, u, x̂, x_d, η̂ and w of the program at its ticks, beside the plant from x = x̂ = x_d on.
+
+    Noise is as large as it is drawn at a tick, and a disturbance of v1 as large as it gets, of any sign.
+    """
+    plant, random = controller.plant, np.random.default_rng(seed)
+    loop = Controller.load(folder / "controller.json", single=single)
+    w = np.concatenate([loop.file.started[1], controller.trajectory.exosystem.w0, [1.0]])
+    x = controller.trajectory.state(w)
+    loop.reset(x_hat=x)
+    acts, ticks = controller.claim(ProgramRanges).bounds.acts, int(spec.scenario.duration / loop.sample_time)
+    nothing = np.zeros(len(acts.near))
+    noise = np.sqrt(acts.squares.get(("noise", 0), nothing))
+    push = 0.007 * np.array([name == "v1" for name in plant.states])
+    seen = dict[str, list[Array]]()
+    for k in range(ticks):
+        n, d = random.choice([-1, 1], size=2)
+        u = loop.step(plant.C @ x + n * noise[k * len(noise) // ticks]).astype(float)
+        for name in ("y", "u", "x_hat", "x_d", "eta_hat", "w"):
+            seen.setdefault(name, []).append(loop.state(name).astype(float))
+        x = moved(plant, x, plant.B @ u + d * push, loop.sample_time)
+    return {name: np.array(values) for name, values in seen.items()}
+
+
+def moved(plant: PWASystem, x: Array, held: Array, h: float, steps: int = 20) -> Array:
+    """Return x after a time by Runge and Kutta, in the cell in which each stage is."""
+
+    def rate(x: Array) -> Array:
+        i = plant.partition.locate(x)
+        return np.asarray(plant.A[i] @ x + plant.b[i] + held)
+
+    dt = h / steps
+    for _ in range(steps):
+        k1 = rate(x)
+        k2 = rate(x + dt / 2 * k1)
+        k3 = rate(x + dt / 2 * k2)
+        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + dt * k3))
+    return x
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_no_number_of_the_program_is_outside(machine: tuple[Spec, ProvedController, Path], single: bool) -> None:
+    spec, controller, folder = machine
+    ranges = controller.claim(ProgramRanges).ranges
+    each = [ran(spec, controller, folder, seed, single=single) for seed in range(3)]
+    for name in each[0]:
+        values = np.concatenate([one[name] for one in each])
+        low, high = ranges[name].T
+        slack = 1e-6 * np.abs(ranges[name]).max(initial=0.0) if single or name in ("x_d", "eta_hat", "w") else 0.0
+        assert (values >= low - slack).all(), name
+        assert (values <= high + slack).all(), name
+        assert (high - low <= 4 * (values.max(axis=0) - values.min(axis=0)) + slack).all(), name
+
+
+def test_what_is_off_is_at_least_what_the_bounds_of_signals_say(machine: tuple[Spec, ProvedController, Path]) -> None:
+    _, controller, _ = machine
+    bounds = controller.claim(ProgramRanges).bounds
+    for form, most in bounds.from_zero.items():
+        if form[0] == "estimate":
+            assert bounds.off(row(bounds.errors, form).floats)[0] >= most.max() * (1 - 1e-9)
+
+
+def test_they_are_said(machine: tuple[Spec, ProvedController, Path]) -> None:
+    _, _, folder = machine
+    said = " ".join(call("design", folder.parent / "plant.yaml", "--out", folder, "--verbose").stdout.split())
+    assert "numbers in the program, from x = x̂ = x_d on, in this run: y as measured −" in said.replace("-", "−")
