@@ -20,6 +20,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import program
 from pwatrack.control.sampled_disturbances import Acting, driven, level, row
@@ -576,3 +577,48 @@ def test_where_nothing_acts_but_sampling_a_bound_above_what_is_required_is_said_
     path.write_text(FRICTION + "require:\n  final_errors: {y: 1e-6}\n", encoding="utf-8")
     said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
     assert "warning in the sampled loop no better than |y − y_d| ≤" in said
+
+
+JITTERY = """
+name: Measured at ticks that come early or late
+system:
+  states: [x]
+  inputs: [u]
+  outputs: [y]
+  A: [[-1]]
+  B: [[1]]
+  C: [[1]]
+reference: {output: {constant: 0}}
+simulation:
+  duration: 2
+  sample_time: 0.01
+  controller: {sample_time: 0.1}
+  noise: {std: {y: 0.1}, sample_time: 0.1, seed: 3}
+  disturbance: {x: {step: {size: 1, at: 1, smooth: 0.1}}}
+"""
+
+
+def test_with_jitter_a_tick_counts_what_is_there_up_to_half_of_it_before_or_after(tmp_path: Path) -> None:
+    """A tick that is early reads the noise of the one before, and sees a step so much later."""
+    path, found = tmp_path / "plant.yaml", list[SampledBounds]()
+    for sample_time in ("0.1", "{nominal: 0.1, jitter: 0.001}"):
+        path.write_text(JITTERY.replace("{sample_time: 0.1}", f"{{sample_time: {sample_time}}}"), encoding="utf-8")
+        found.append(the_bounds(design(load_spec(path))))
+    exact, jittery = (bounds.acts.squares for bounds in found)
+    parts = found[0].errors.gains.substeps
+    channels: list[Channel] = [("noise", 0), ("disturbance", 0)]
+    for channel in channels:
+        own = exact[channel][::parts] if parts > 1 else exact[channel]
+        before = np.maximum(own, np.append(own[0], own[:-1]))
+        assert (jittery[channel][::parts] >= before * (1 - 1e-12)).all()
+    assert (exact["noise", 0][1:] < exact["noise", 0][:-1]).any()
+
+
+def test_the_end_of_a_run_holds_a_period_of_the_reference(friction: tuple[Spec, ProvedController]) -> None:
+    _, controller = friction
+    bounds = the_bounds(controller)
+    step = bounds.errors.gains.sample_time / bounds.errors.gains.substeps
+    for form, end in bounds.ends_below(controller).items():
+        most = bounds.from_zero[form]
+        assert end == pytest.approx(most[-int(np.pi / 2 / step) :].max(), rel=1e-3)
+        assert end >= most[len(most) - int(np.pi / 2 / step) :].max()

@@ -277,6 +277,28 @@ def test_what_acts_and_the_first_input_are_taken_off_what_it_may_change_by(tmp_p
     assert not refused.found
 
 
+def test_of_another_plant_nothing_is_said_of_this_start(tmp_path: Path) -> None:
+    """The pole falls faster than the one of the design: it runs away, and what is proved is of the other."""
+    path = tmp_path / "pole.yaml"
+    text = written(tmp_path, also="plant: {parameters: {g: 12}}").read_text(encoding="utf-8")
+    text = text.replace("\nsystem:", "\nparameters: {g: 4}\nsystem:").replace("[4, -0.2]", "[g, -0.2]")
+    path.write_text(text.replace("slope: 3", "slope: 0.1"), encoding="utf-8")
+    run = call("simulate", path, "--out", tmp_path / "out")
+    said = " ".join(run.stdout.split())
+    assert run.exit_code == 6
+    assert "u is at a limit" in said
+    assert "from this start" not in said
+    long = " ".join(call("design", path, "--out", tmp_path / "out", "--verbose").stdout.split())
+    for row in long.split("in the sampled loop ")[1:]:
+        assert (
+            "plant as designed" in row.split(" limits")[0] or "with inputs at their limits too, with the plant" in row
+        )
+    assert "in this run nothing acts on the sampled loop: its errors go to 0, but for rounding, with the plant" in long
+    assert "proved while no input is at a limit, with the plant as designed" in " ".join(
+        call("design", path, "--out", tmp_path / "out").stdout.split()
+    )
+
+
 def test_a_plant_that_is_stable_by_itself_settles_from_every_start(tmp_path: Path) -> None:
     path = written(tmp_path)
     text = path.read_text(encoding="utf-8").replace("[4, -0.2]", "[-4, -1]")

@@ -90,5 +90,5 @@ class ProgramRanges(Claim):
                 ends = f"{down(low)} to {up(high)} {unit}".rstrip()
                 said.append(f"{shown} {ends}")
         late = ", as the first input acts," * (self.bounds.errors.gains.delay > 0)
-        of = f"in the program, from x = x̂ = x_d{late} on, in this run{off_limits(controller)}"
+        of = f"in the program, from x = x̂ = x_d{late} on, in this run{words.as_designed}{off_limits(controller)}"
         yield "numbers", f"{of}: {'; '.join(said)}"

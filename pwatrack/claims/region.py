@@ -121,7 +121,7 @@ class LimitedRegion(Claim):
         """Yield whether errors go to 0 from the start of the run with inputs at their limits, where that is proved."""
         if self.from_this_start(controller) and not any(c.from_this_start for c in controller.claims_of(NoSaturation)):
             goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
-            yield "ideal loop", f"{goes} from this start with inputs at their limits too"
+            yield "ideal loop", f"{goes} from this start with inputs at their limits too{words.as_designed}"
 
     def from_this_start(self, controller: ProvedController) -> bool:
         """Whether it is proved of the start of the run."""

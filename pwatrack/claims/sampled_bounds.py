@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, Context
 from functools import cached_property, reduce
+from math import ceil
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -28,6 +29,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row
 from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.sampled_search import work
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube, tube
@@ -60,6 +62,7 @@ class TubeBounds(Claim):
     forms: tuple[Form, ...]
 
     KEY: ClassVar[str]
+    MOST: ClassVar[float] = np.inf  # work of one proof times tubes that are looked for: an auditor decides each
 
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
@@ -71,7 +74,9 @@ class TubeBounds(Claim):
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
-            yield replace(found, tubes=_Search.of(controller, found, proof).tubes(acts))
+            if (len(acts.squares) + len(acts.means)) * work(errors) <= cls.MOST:
+                found = replace(found, tubes=_Search.of(controller, found, proof).tubes(acts))
+            yield found
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Self]:
@@ -103,8 +108,16 @@ class TubeBounds(Claim):
         return {self.KEY: entries}
 
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
-        """Return below what each signal is in the end of the run, if what its start left is gone."""
-        return {form: _above(float(most[-(len(most) // _END) - 1 :].max())) for form, most in self.from_zero.items()}
+        """Return below what each signal is in the end of the run, if what its start left is gone.
+
+        That is its last tenth, or the last period of the reference where that is longer.
+        """
+        step = self.errors.gains.sample_time / self.errors.gains.substeps
+        period = ceil((controller.trajectory.exosystem.period or 0.0) / step)
+        return {
+            form: _above(float(most[-max(len(most) // _END, period) - 1 :].max()))
+            for form, most in self.from_zero.items()
+        }
 
     @cached_property
     def from_zero(self) -> dict[Form, Array]:
@@ -283,13 +296,14 @@ class SampledBounds(TubeBounds):
         named = self._named(words, controller)
         acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
+        off = words.as_designed + off_limits(controller)
         if self.idle:
             said = "nothing acts on the sampled loop: its errors go to 0, but for rounding"
-            yield "in this run", said + off_limits(controller)
+            yield "in this run", said + off
         elif ends:
             always = words.limits(shown({form: float(each.max()) for form, each in self.from_zero.items()}))
             said = f"{ends} in the end in the sampled loop, for any switching, between ticks too"
-            yield "in this run", said + off_limits(controller)
+            yield "in this run", f"{said}, beside what is left of the start{off}"
             if not self.errors.gains.delay:
                 yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"

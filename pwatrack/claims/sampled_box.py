@@ -112,6 +112,7 @@ class SampledBoxBounds(TubeBounds):
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_uncertain_bounds": []}
     KEY: ClassVar[str] = "sampled_uncertain_bounds"
+    MOST: ClassVar[float] = 300_000  # corners make work, but no larger file
 
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
@@ -130,7 +131,8 @@ class SampledBoxBounds(TubeBounds):
         if self.idle:
             said = f"{said}, nothing acts on the sampled loop: its errors go to 0, but for rounding{off}"
         elif ends:
-            said = f"{ends} in the end in the sampled loop, {said}, between ticks too{off}"
+            said = f"{ends} in the end in the sampled loop, {said}, between ticks too"
+            said += f", beside what is left of the start{off}"
         else:
             said = f"no bound was found for what is left in the sampled loop {said}"
         yield "box, in this run", said

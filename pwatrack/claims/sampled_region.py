@@ -113,12 +113,12 @@ class SampledRegion(Claim):
         for one in self.found:
             starts = starts_said(self.room, left, words, controller, one)
             starts += ", as the first input acts" * (self.late and one.starts.kind != "every")
-            yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}"
+            yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
             label = ""
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors settle from the start of the run with inputs at their limits, where that is proved."""
-        if self.from_this_start(controller):
+        if self.from_this_start(controller) and not words.conditions.another_plant:
             yield "as sampled", f"from this start {self.goes}, {self._with}"
 
     @property

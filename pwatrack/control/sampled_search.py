@@ -36,7 +36,7 @@ def too_much(plant: PWASystem, gains: SampledGains, estimates: OnEstimates | Non
     if estimates is not None and estimates.turned(gains.sample_time) > _MOST_TURNED:
         return "what x_d is made of turns too far in a sample"
     errors = SampledErrors.of(plant, gains, estimates)
-    if _work(errors) > _most(errors):
+    if work(errors) > _most(errors):
         return f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
     return ""
 
@@ -57,7 +57,7 @@ def with_corners(errors: SampledErrors, knots: int) -> tuple[ClockedProof | None
     """Return forms that prove the loop for all plants of a box, with so many segments or more; else why not."""
     missing = ""
     for finer in (knots, 2 * knots, 4 * knots):
-        if _work(errors) * finer > _MOST_WORK:
+        if work(errors) * finer > _MOST_WORK:
             missing = (
                 missing or f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
             )
@@ -112,10 +112,10 @@ def _tried(errors: SampledErrors, most: int) -> list[tuple[SampledErrors, int]]:
         (replace(errors, gains=replace(gains, substeps=more * gains.substeps)), knots)
         for more, knots in (_TRIED if gains.substeps > 1 else _OF_ONE)
     ]
-    return [(one, knots) for one, knots in finer if _work(one) * knots <= most]
+    return [(one, knots) for one, knots in finer if work(one) * knots <= most]
 
 
-def _work(errors: SampledErrors) -> int:
+def work(errors: SampledErrors) -> int:
     """Return how much one segment in each substep takes."""
     return _inequalities(errors) * errors.order**2
 

@@ -73,6 +73,11 @@ class Words:
             return noise is not None and bool(noise.std[k])
         return disturbance is not None and bool(disturbance.Q[k].any())
 
+    @property
+    def as_designed(self) -> str:
+        """What is added to what is proved of a run with the plant of the design, where another one runs."""
+        return ", with the plant as designed" * self.conditions.another_plant
+
     def limits(self, sizes: Iterable[tuple[Form, float]]) -> Iterator[str]:
         """Yield the bounds of signals in words, rounded up."""
         for form, size in sizes:

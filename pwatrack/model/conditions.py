@@ -112,6 +112,11 @@ class Conditions:
         return said
 
     @property
+    def another_plant(self) -> bool:
+        """Whether another plant runs than the one of the design."""
+        return self.plant is not None or self.parameters is not None
+
+    @property
     def nominal(self) -> bool:
         """Whether the loop is the one that the proofs are about."""
         return all(value is None for name, value in vars(self).items() if name not in ("pace", "set_range"))

@@ -108,7 +108,7 @@ def _proved(
     """Yield what is proved, and the gains, of the loop that runs; if that is not proved, of the ideal one."""
     sampled = [claim.proof is not None for claim in controller.claims_of(SampledLoop)]
     ideal, runs = "ideal loop", any(sampled)
-    for name, share in ({} if result is None or not runs or _settles(controller) else result.at_limits).items():
+    for name, share in ({} if result is None or not runs or _settles(spec, controller) else result.at_limits).items():
         if share:
             yield "as sampled", f"{name} is at a limit {percent(share)} of the time, of which nothing is proved"
     for label, text in brief(spec.words, controller):
@@ -119,15 +119,15 @@ def _proved(
         bounds = "in the end " + (", ".join(spec.words.limits(tracked)) or "no bound is proved")
         bounds = "error to 0" if tracked and not any(size for _, size in tracked) else bounds
         conditions = spec.scenario.conditions
-        another = conditions.plant is not None or conditions.parameters is not None
         of_box = runs and tube_bounds(controller, spec.objectives.uncertain, conditions)
-        bounds += " with the plant as designed" * (another and not of_box)
+        bounds += " with the plant as designed" * (conditions.another_plant and not of_box)
         yield "as sampled" if runs else ideal, f"{assessment.condition} {bounds}".lstrip()
 
 
-def _settles(controller: ProvedController) -> bool:
+def _settles(spec: Spec, controller: ProvedController) -> bool:
     """Say whether errors of the sampled loop are proved to settle from the start of the run, limits reached or not."""
-    return any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion))
+    settles = any(claim.from_this_start(controller) for claim in controller.claims_of(SampledRegion))
+    return settles and not spec.scenario.conditions.another_plant
 
 
 def _came_out(checked: Sequence[Checked], result: SimulatedLoop | None, many: EnsembleResult | None) -> Iterator[Row]:
@@ -192,7 +192,7 @@ def _beyond(spec: Spec, controller: ProvedController, assessment: Assessment) ->
     if for_all and covered(spec.objectives.uncertain, conditions):
         yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
         conditions = replace(conditions, plant=None, parameters=None)
-    if _settles(controller):
+    if _settles(spec, controller):
         conditions = replace(conditions, limits=None, rates=None)
     limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))

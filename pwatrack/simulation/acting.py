@@ -16,8 +16,10 @@ Bernstein coefficients enclose the differences, and what the integrals of their 
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 from scipy.linalg import expm
 
 from pwatrack.arrays import OVER_POWERS, Array, IntArray
@@ -93,7 +95,10 @@ def acting(
 def _outside(
     controller: ProvedController, conditions: Conditions, errors: SampledErrors, duration: float, count: int
 ) -> dict[Channel, Array]:
-    """Return the mean squares in each substep of disturbances; of what is measured off by noise and steps, at ticks."""
+    """Return the mean squares in each substep of disturbances; of what is measured off by noise and steps, at ticks.
+
+    A tick of a run is up to half of the jitter off its time: it may be a substep before or after that it belongs to.
+    """
     loads, disturbance, parts = controller.plant.loads, conditions.disturbance, errors.gains.substeps
     h, found = errors.gains.sample_time, dict[Channel, Array]()
     if disturbance is not None and not (loads is not None and loads.are(disturbance)):
@@ -111,7 +116,10 @@ def _outside(
         off += values[: len(off)] if same and len(values) >= len(off) else values.max(axis=0)
     if conditions.quanta is not None:
         off += conditions.quanta.outputs / 2
-    return found | {("noise", k): off[ticks, k] ** 2 for k in range(off.shape[1])}
+    found |= {("noise", k): off[ticks, k] ** 2 for k in range(off.shape[1])}
+    early = ceil(errors.gains.jitter / 2 / (h / parts))
+    around = scipy.ndimage.maximum_filter1d
+    return {channel: around(each, 2 * early + 1, mode="nearest") for channel, each in found.items()}
 
 
 def _by_substep(squares: Array, at: IntArray, count: int) -> Array:

@@ -33,7 +33,7 @@ def covered(box: Box, conditions: Conditions) -> bool:
 
 def tube_bounds(controller: ProvedController, box: Box, conditions: Conditions) -> Sequence[TubeBounds]:
     """Return what bounds the errors of the sampled loop with the plant of a run; nothing where none is proved of it."""
-    if conditions.plant is None and conditions.parameters is None:
+    if not conditions.another_plant:
         return controller.claims_of(SampledBounds)
     return controller.claims_of(SampledBoxBounds) if box and inside(box, conditions.parameters or {}) else ()
 
