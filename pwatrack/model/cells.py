@@ -12,8 +12,7 @@ import numpy as np
 
 from pwatrack.arrays import EPS, Array, IntArray, readonly
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
-from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
-from pwatrack.model.hyperplanes import claims, merge
+from pwatrack.model.hyperplanes import Arrangement, TooMany, arrangement, claims, merge
 from pwatrack.model.polyhedron import (
     Row,
     borders,

@@ -21,7 +21,6 @@ import numpy as np
 from pwatrack.arrays import IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.linear_form import LinearForm, added
-from pwatrack.rational import rank
 from pwatrack.real import Real
 
 _OFF = (-1, 0, 0)  # signs of p, p + q and q − p
@@ -51,7 +50,7 @@ class Contact:
             if not float(value) > 0:
                 hint = ": without damping it is a spring or a dead_zone" if what == "damping" else ""
                 raise ValueError(f"{what} is {float(value):g}, expected more than 0{hint}")
-        if rank(BallMatrix.of([self.of.coefficients, self.rate.coefficients]).centre) < 2:
+        if BallMatrix.of([self.of.coefficients, self.rate.coefficients]).centre.rank() < 2:
             raise ValueError("rate is a multiple of 'of', or 0: it is to be how fast that changes, such as a speed")
         if self.lower is not None and not self.lower < self.upper:
             raise ValueError(f"{float(self.lower):g} and {float(self.upper):g} are not in increasing order")

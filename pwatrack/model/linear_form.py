@@ -9,11 +9,11 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.signal import NotRepresentable
-from pwatrack.real import Real
+from pwatrack.real import Real, Ring
 
 
 @dataclass(frozen=True)
-class LinearForm:
+class LinearForm(Ring):
     """The form coefficients · x + offset, in exact numbers; sums and multiples are forms again."""
 
     coefficients: tuple[Real, ...]
@@ -41,15 +41,6 @@ class LinearForm:
         return LinearForm(tuple(c * other for c in self.coefficients), self.offset * other)
 
     __radd__, __rmul__ = __add__, __mul__
-
-    def __neg__(self) -> "LinearForm":
-        return self * -1.0
-
-    def __sub__(self, other: "LinearForm | Real | float") -> "LinearForm":
-        return self + -other
-
-    def __rsub__(self, other: "Real | float") -> "LinearForm":  # type: ignore[misc]
-        return -self + other
 
     def __truediv__(self, other: "LinearForm | Real | float") -> "LinearForm":
         return self * (other if isinstance(other, LinearForm) else 1 / Real.of(other))

@@ -15,7 +15,6 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
 from pwatrack.model.contact import Contact
 from pwatrack.model.linear_form import LinearForm, added
-from pwatrack.rational import rank
 from pwatrack.real import Real
 
 Number = Real | Fraction | float
@@ -43,11 +42,6 @@ class PiecewiseLinear:
         """Return φ(s)."""
         k = bisect_left([float(mark) for mark in self.breakpoints], s)
         return float(self.slopes[k]) * s + float(self.intercepts[k])
-
-    @property
-    def numbers(self) -> tuple[Real, ...]:
-        """All that it is made of."""
-        return *self.breakpoints, *self.slopes, self.value
 
     @property
     def ends(self) -> list[int]:
@@ -181,11 +175,12 @@ class ScalarForm:
     @cached_property
     def product(self) -> bool:
         """Whether each combination of segments is a cell: the rows are independent. All numbers are to be exact."""
-        numbers = [Real.of(v) for e in self.elements for v in (*e.row, *e.direction, e.constant, *e.function.numbers)]
+        parts = [(e, e.function) for e in self.elements]
+        lists = [(*e.row, *e.direction, e.constant, *f.breakpoints, *f.slopes, f.value) for e, f in parts]
+        numbers = [Real.of(v) for part in lists for v in part]
         if not self.elements or any(X.radius is not None for X in (self.A, self.b)) or any(v.radius for v in numbers):
             return False
-        rows = BallMatrix.of([element.row for element in self.elements]).centre
-        return rank(rows) == len(self.elements)
+        return bool(BallMatrix.of([element.row for element in self.elements]).centre.rank() == len(self.elements))
 
     @cached_property
     def corners(self) -> tuple[int, ...]:
@@ -195,16 +190,13 @@ class ScalarForm:
         return tuple(int(np.ravel_multi_index(cell, counts)) for cell in cells)
 
 
-def drives_away(A: Array, element: Nonlinearity) -> list[int]:
+def drives_away(A: Array, slopes: Sequence[float], row: Array, d: Array) -> list[int]:
     """Return the states through which an element drives what it looks at away from where it acts.
 
-    With s = row · x + constant and row · direction = 0, φ(s) enters s̈ through row A direction, the sum over the states
+    With s = row · x + constant and row · d = 0, φ(s) of these slopes enters s̈ through row A d, the sum over the states
     that it drives; A (n, n) is without the elements. Where one of these terms has the sign of φ's slope, the element
     drives s away through that state. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
     """
-    slopes, row, d = (
-        np.array([float(v) for v in values]) for values in (element.function.slopes, element.row, element.direction)
-    )
     signs = {float(np.sign(slope)) for slope in slopes if slope}
     if len(signs) != 1 or row @ d != 0:
         return []

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import scipy
@@ -41,7 +41,7 @@ from pwatrack.spec.signal_section import (
     TrapezoidSection,
 )
 from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, SimulationSection, StartRegionsSection
-from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, Steady
+from pwatrack.spec.spec import InitialStates, Objectives, Scenario
 from pwatrack.spec.table import FINEST, Folder, read_table
 from pwatrack.spec.yaml_tree import path_text
 
@@ -272,18 +272,14 @@ def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 
 def _initial_states(section: InitialSection, states: Sequence[str]) -> InitialStates:
     """Return where a run starts; states that are not named start at 0."""
 
-    def start(values: Mapping[str, float] | Sequence[float] | None) -> Array | None:
-        return _vector(values, states) if isinstance(values, Mapping) else None if values is None else readonly(values)
+    def start(values: Any) -> Any:
+        return _vector(values, states) if isinstance(values, Mapping) else ordered(values)
 
-    plant, observer, generator = section.plant, section.observer, section.generator
+    def ordered(values: Any) -> Any:
+        return readonly(values) if isinstance(values, list) else values
+
     return InitialStates(
-        plant=Steady() if isinstance(plant, str) else start(plant),
-        observer=Measured() if isinstance(observer, str) else start(observer),
-        generator=Steady()
-        if isinstance(generator, str)
-        else readonly(generator)
-        if isinstance(generator, list)
-        else generator,
+        plant=start(section.plant), observer=start(section.observer), generator=ordered(section.generator)
     )
 
 
@@ -343,10 +339,12 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
 
 
 def _box(uncertain: Mapping[str, Real | tuple[Real, Real]], parametric: ParametricPlant) -> Box:
-    values, uses = parametric.names.parameters, parametric.uses if uncertain else {}
-    box = []
+    uses, box = dict[str, frozenset[str]](), []  # the parameters that the value of each is made of
+    for name, written in parametric.parameters.items() if uncertain else ():
+        direct = written.names & uses.keys()
+        uses[name] = direct.union(*(uses[other] for other in direct))
     for name, given in uncertain.items():
-        nominal = values[name]
+        nominal = parametric.names.parameters[name]
         assert nominal is not None
         low, high = ends_of(nominal, given)
         box.append(Uncertain(name=name, nominal=nominal, low=low, high=high, uses=uses[name]))
