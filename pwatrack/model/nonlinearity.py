@@ -14,7 +14,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
 from pwatrack.model.contact import Contact
-from pwatrack.model.linear_form import LinearForm, added
+from pwatrack.model.linear_form import LinearForm, PiecewiseElement
 from pwatrack.real import Real
 
 Number = Real | Fraction | float
@@ -111,17 +111,15 @@ def _function(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nonlinearity:
+class Nonlinearity(PiecewiseElement):
     """Adds direction · φ(row · x + constant) to ẋ.
 
     All numbers are `Real`, fractions, or doubles, which count as the decimals that they print as.
     """
 
-    name: str  # for the names of the cells
     function: PiecewiseLinear  # φ
     row: Any  # of the linear form, (n,)
     constant: Number  # of the linear form
-    direction: Any  # (n,)
 
     @cached_property
     def of(self) -> LinearForm:
@@ -134,34 +132,16 @@ class Nonlinearity:
         return [self.of - s for s in self.function.breakpoints]
 
     @property
-    def segments(self) -> tuple[str, ...]:
-        """A name for each segment."""
-        return self.function.segments
-
-    @cached_property
-    def forms(self) -> tuple[LinearForm, ...]:
-        """What φ(row · x + constant) is on each segment."""
-        pieces = zip(self.function.slopes, self.function.intercepts, strict=True)
-        return tuple(self.of * slope + rest for slope, rest in pieces)
-
-    @cached_property
-    def alike(self) -> tuple[int, ...]:
-        """The first segment with the slope of each."""
-        return tuple(map(self.function.slopes.index, self.function.slopes))
-
-    @property
-    def signs(self) -> IntArray:
-        """Of its planes on each segment, (segments, planes)."""
-        count = len(self.function.breakpoints)
-        return 2 * np.tri(count + 1, count, -1, dtype=np.int64) - 1
+    def cells(self) -> list[tuple[str, IntArray, LinearForm]]:
+        """Of each segment its name, the signs of the planes, and what φ(row · x + constant) is there."""
+        count, (slopes, intercepts) = len(self.planes), (self.function.slopes, self.function.intercepts)
+        forms = [self.of * slope + rest for slope, rest in zip(slopes, intercepts, strict=True)]
+        signs = 2 * np.tri(count + 1, count, -1, dtype=np.int64) - 1
+        return list(zip(self.function.segments, signs, forms, strict=True))
 
     def located(self, sides: IntArray) -> IntArray:
-        """Return its segment for each row of sides of its planes, (l, planes)."""
+        """Return its segment for each row of sides of its planes, (l, planes); of many, no table is compared."""
         return np.asarray((sides > 0).sum(axis=1))
-
-    def on(self, segment: int) -> tuple[BallMatrix, BallMatrix]:
-        """Return what it adds to A, (n, n), and to b, (n, 1), on a segment of φ."""
-        return added(self.direction, self.forms[segment])
 
 
 @dataclass(frozen=True, kw_only=True)
