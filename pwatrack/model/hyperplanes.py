@@ -31,7 +31,7 @@ from pwatrack.model.polyhedron import (
     shortened,
     value,
 )
-from pwatrack.rational import fraction_of, on_entries, pivots, rational
+from pwatrack.rational import Rational, fraction_of, on_entries, pivots, rational
 
 _ROUNDING = Fraction(1, 10**12)  # of its own numbers, up to which a border is taken for another one
 
@@ -163,17 +163,17 @@ class TooMany(Exception):
 class Arrangement:
     """The regions of a set of hyperplanes."""
 
-    regions: tuple[int, ...]  # one whole number each
-    points: tuple[Point, ...]  # a point inside each, (l, r), as `polyhedron.Point` in coordinates of its own
-    columns: tuple[int, ...]  # the r states that move in them; the others are 0
-    back: tuple[tuple[Fraction, ...], ...]  # takes these coordinates to those states, (r, r)
+    points: dict[int, Point]  # by region a point inside it, as `polyhedron.Point` in coordinates of its own
+    columns: list[int]  # the r states that move in them; the others are 0
+    back: Rational  # takes these coordinates to those states, (r, r)
 
-    def point(self, position: int, n: int) -> tuple[Fraction, ...]:
+    def point(self, region: int, n: int) -> tuple[Fraction, ...]:
         """Return a point (n,) inside a region."""
-        *Y, W = self.points[position]
+        *Y, W = self.points[region]
         x = [Fraction(0)] * n
-        for column, row in zip(self.columns, self.back, strict=True):
-            x[column] = sum((a * v for a, v in zip(row, Y, strict=True)), Fraction(0)) / W
+        moving = self.back * rational([[Fraction(y, W)] for y in Y], (len(Y), 1))
+        for column, v in zip(self.columns, moving.entries(), strict=True):
+            x[column] = fraction_of(v)
         return tuple(x)
 
 
@@ -182,7 +182,7 @@ def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
 
     Example: three lines of general position in the plane leave one of eight combinations out.
 
-        >>> sorted(arrangement([(1, 0, 0), (0, 1, 0), (1, 1, -1)], 10).regions)
+        >>> sorted(arrangement([(1, 0, 0), (0, 1, 0), (1, 1, -1)], 10).points)
         [0, 1, 2, 3, 5, 6, 7]
     """
     n = len(planes[0]) - 1 if planes else 0
@@ -190,15 +190,10 @@ def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
     forms = on_entries(normals, pivots(normals.transpose()), range(n))
     columns = pivots(forms)
     r = len(columns)
-    inverse = on_entries(forms, range(r), columns).inv()
-    back = tuple(tuple(fraction_of(v) for v in row) for row in inverse.tolist())
-    sides = list(zip(*back, strict=True))
-    own = [
-        primitive([*(sum(row[j] * b for j, b in zip(columns, side, strict=True)) for side in sides), row[-1]])
-        for row in planes
-    ]
-    found = _regions(own, r, most)
-    return Arrangement(regions=tuple(found), points=tuple(found.values()), columns=tuple(columns), back=back)
+    back = on_entries(forms, range(r), columns).inv()
+    turned = (on_entries(normals, range(len(planes)), columns) * back).tolist()
+    own = [primitive([*map(fraction_of, line), row[-1]]) for line, row in zip(turned, planes, strict=True)]
+    return Arrangement(points=_regions(own, r, most), columns=columns, back=back)
 
 
 def _regions(planes: Sequence[Row], r: int, most: int) -> dict[int, Point]:
