@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from fractions import Fraction
 from functools import partial
 from typing import Any, Literal, TypeVar
 
@@ -255,11 +254,9 @@ def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, p
 
 def _reals(column: BallMatrix) -> dict[int, Real]:
     """Return the entries of a column that are not 0."""
-    centres = [fraction_of(v) for v in column.centre.entries()]
-    radii = (
-        [fraction_of(v) for v in column.radius.entries()] if column.radius is not None else [Fraction(0)] * len(centres)
-    )
-    return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
+    radius = column.centre * 0 if column.radius is None else column.radius
+    both = enumerate(zip(column.centre.entries(), radius.entries(), strict=True))
+    return {j: Real(fraction_of(c), fraction_of(r)) for j, (c, r) in both if c or r}
 
 
 def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 0.0) -> Array:
@@ -281,12 +278,6 @@ def _initial_states(section: InitialSection, states: Sequence[str]) -> InitialSt
     return InitialStates(
         plant=start(section.plant), observer=start(section.observer), generator=ordered(section.generator)
     )
-
-
-def _plane(names: Sequence[str] | None, states: Sequence[str]) -> tuple[int, int]:
-    """Return two states by number; the first and the second where nothing is said, one twice where there is one."""
-    first, second = (states.index(name) for name in names or (states[0], states[min(1, len(states) - 1)]))
-    return first, second
 
 
 def _regions(section: StartRegionsSection | None, states: Sequence[str], nominal: InitialStates) -> dict[str, Region]:
@@ -396,14 +387,16 @@ def build_conditions(
 def build_scenario(section: SimulationSection, states: Sequence[str], conditions: Conditions) -> Scenario:
     """Return what is simulated under given conditions."""
     initial = _initial_states(section.initial, states)
+    names = section.ensemble.plane or (states[0], states[min(1, len(states) - 1)])  # one twice where there is one
+    first, second = map(states.index, names)
     return Scenario(
         duration=section.duration,
         sample_time=section.sample_time,
         initial=initial,
         conditions=conditions,
         regions=_regions(section.ensemble.initial, states, initial),
-        plane=_plane(section.ensemble.plane, states),
+        plane=(first, second),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
-        portraits=tuple((first, second) for first, second in section.portraits),
+        portraits=tuple((one, other) for one, other in section.portraits),
         bands=section.settled,
     )
