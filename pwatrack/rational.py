@@ -68,10 +68,8 @@ def identity(n: int) -> Rational:
 
 def diagonal(values: Sequence[Fraction]) -> Rational:
     """Return a diagonal matrix with these entries."""
-    X = flint.fmpq_mat(len(values), len(values))
-    for k, value in enumerate(values):
-        X[k, k] = number(value)
-    return X
+    n = len(values)
+    return flint.fmpq_mat(n, n, [number(values[k]) if j == k else 0 for j in range(n) for k in range(n)])
 
 
 def floats(X: Rational) -> Array:

@@ -118,9 +118,8 @@ class Real(Ring):
                 return 1 / self ** (-exponent)
             if exponent * self.bits <= _MOST_BITS:
                 power = self.centre**exponent
-                return Real(
-                    power, (abs(self.centre) + self.radius) ** exponent - abs(power) if self.radius else power * 0
-                )
+                spread = (abs(self.centre) + self.radius) ** exponent - abs(power) if self.radius else Fraction(0)
+                return Real(power, spread)
         return enclosed(lambda x, y: x**y, self, other)
 
     def __rpow__(self, other: object) -> "Real":
