@@ -121,9 +121,7 @@ def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Shar
 
 
 def difference(one: Row, other: Row) -> Fraction | None:
-    """Return by how much of themselves the numbers of two hyperplanes differ at most, in any units; None if by more."""
-    if any((a == 0) != (b == 0) for a, b in zip(one, other, strict=True)):
-        return None
+    """Return by how much of themselves the numbers of hyperplanes with the same zeros differ; None if by too much."""
     ratios = [Fraction(a, b) for a, b in zip(one, other, strict=True) if b]
     if min(ratios) < 0 < max(ratios):
         return None

@@ -223,11 +223,8 @@ class Dependence:
 
 
 def _units(section: Element, states: Sequence[str]) -> Iterator[tuple[Subject, Real, Sequence[LinearForm]]]:
-    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others.
-
-    Of a contact, whose hyperplanes depend on all its numbers, it is what is in `into` alone.
-    """
-    if isinstance(section, TouchSection):
+    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others."""
+    if isinstance(section, TouchSection):  # its hyperplanes depend on all its numbers: what is in `into` alone
         yield (), Real.of(1), section.element(states).forms
         return
     given: dict[str, Any] = {name: v for name in _SHAPE if (v := getattr(section, name, None)) is not None}
