@@ -32,7 +32,7 @@ def doubles(X: Array) -> Rational:
     return rational([[Fraction(v) for v in row] for row in X.tolist()], (X.shape[0], X.shape[1]))
 
 
-def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rational:
+def rational(rows: Sequence[Sequence[Fraction | int]], shape: tuple[int, int]) -> Rational:
     """Return a matrix with these entries."""
     return flint.fmpq_mat(*shape, [number(v) for row in rows for v in row])
 
@@ -41,7 +41,7 @@ def rational(rows: Sequence[Sequence[Fraction]], shape: tuple[int, int]) -> Rati
 copyreg.pickle(flint.fmpq_mat, lambda X: (flint.fmpq_mat, (X.nrows(), X.ncols(), X.entries())))
 
 
-def number(value: Fraction) -> Any:
+def number(value: Fraction | int) -> Any:
     """Return a fraction as an entry of a rational matrix, and a factor of one."""
     return flint.fmpq(value.numerator, value.denominator)
 
@@ -68,10 +68,8 @@ def identity(n: int) -> Rational:
 
 def diagonal(values: Sequence[Fraction]) -> Rational:
     """Return a diagonal matrix with these entries."""
-    X = flint.fmpq_mat(len(values), len(values))
-    for k, value in enumerate(values):
-        X[k, k] = number(value)
-    return X
+    n = len(values)
+    return flint.fmpq_mat(n, n, [number(values[k]) if j == k else 0 for j in range(n) for k in range(n)])
 
 
 def floats(X: Rational) -> Array:
@@ -138,11 +136,6 @@ def column_space(X: Rational) -> Rational:
     return flint.fmpq_mat(len(rows), X.nrows(), [v for row in rows for v in row]).transpose()
 
 
-def rank(X: Rational) -> int:
-    """Return the number of independent rows."""
-    return int(X.rref()[1])
-
-
 def left_null_space(X: Rational) -> Rational:
     """Return N (k, n), of full row rank, whose rows are all v with v X = 0.
 
@@ -192,8 +185,6 @@ def unreachable(A: Rational, B: Rational) -> tuple[Rational, Rational]:
 
 def on_rows(A: Rational, N: Rational) -> Rational:
     """Return A_u with N A = A_u N, for rows N (k, n) of full rank that span a left invariant subspace of A."""
-    if not N.nrows():
-        return N * A * N.transpose()
     return N * A * N.transpose() * (N * N.transpose()).inv()
 
 

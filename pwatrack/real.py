@@ -6,7 +6,7 @@ And parameters that are known to lie in intervals.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, Protocol, Self
 
 from pwatrack.arrays import number_text
 
@@ -16,8 +16,27 @@ _EPS = Fraction(1, 2**50)  # more than a rounding of a double, of its size
 _TINY = Fraction(1, 2**1060)  # the same where doubles lose digits
 
 
+class Ring(Protocol):
+    """What can be added and multiplied, so that differences are known too."""
+
+    __slots__ = ()
+
+    def __add__(self, other: Any, /) -> Self: ...
+
+    def __mul__(self, other: Any, /) -> Self: ...
+
+    def __neg__(self) -> Self:
+        return self.__mul__(-1)
+
+    def __sub__(self, other: Any, /) -> Self:
+        return self.__add__(-other)
+
+    def __rsub__(self, other: Any, /) -> Self:
+        return (-self).__add__(other)
+
+
 @dataclass(frozen=True, slots=True)
-class Real:
+class Real(Ring):
     """A number within `radius` of a rational centre; a radius of 0 makes it exact.
 
     Sums, products and whole powers of exact numbers are exact. What is irrational, such as 2*pi, is a double with a
@@ -72,12 +91,6 @@ class Real:
     def __neg__(self) -> "Real":
         return Real(-self.centre, self.radius)
 
-    def __sub__(self, other: object) -> "Real":
-        return self + -Real.of(other) if isinstance(other, Number) else NotImplemented
-
-    def __rsub__(self, other: object) -> "Real":
-        return Real.of(other) - self if isinstance(other, Number) else NotImplemented
-
     def __truediv__(self, other: object) -> "Real":
         """Return the quotient; ZeroDivisionError if the divisor may be 0."""
         if not isinstance(other, Number):
@@ -105,9 +118,8 @@ class Real:
                 return 1 / self ** (-exponent)
             if exponent * self.bits <= _MOST_BITS:
                 power = self.centre**exponent
-                return Real(
-                    power, (abs(self.centre) + self.radius) ** exponent - abs(power) if self.radius else power * 0
-                )
+                spread = (abs(self.centre) + self.radius) ** exponent - abs(power) if self.radius else Fraction(0)
+                return Real(power, spread)
         return enclosed(lambda x, y: x**y, self, other)
 
     def __rpow__(self, other: object) -> "Real":

@@ -45,6 +45,11 @@ from tests.plants import random_plant
 seeds = st.integers(0, 10_000)
 
 
+def ones(n: int, m: int, q: int = 0) -> Sizes:
+    """Sizes of 1 in the units given."""
+    return Sizes(state=np.ones(n), input=np.ones(m), output=np.ones(q), speed=1.0)
+
+
 @pytest.fixture(scope="module")
 def plant(specs: Path) -> PWASystem:
     return load_spec(specs / "two_mass_backlash.yaml").problem.plant
@@ -54,7 +59,7 @@ def test_a_rate_that_is_asked_is_the_rate_that_is_proved(specs: Path) -> None:
     controller = design(load_spec(specs / "two_mass_goals.yaml"))
     assert max(proof.rate for proof in controller.proofs if proof.role.name == "controller") >= 0.1
     task = Task.of(controller.plant, CONTROLLER, sizes=controller.sizes)
-    known = synthesize(controller.plant, controller=Smallest(rate=0.1), sizes=Sizes.ones(4, 1, 1)).K
+    known = synthesize(controller.plant, controller=Smallest(rate=0.1), sizes=ones(4, 1, 1)).K
     assert task.norm(controller.design.K) < 0.2 < 0.9 * task.norm(known)  # smallest in sizes, not in the units given
 
 
@@ -70,7 +75,7 @@ def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
 ) -> None:
     """The smallest norms by ‖Y‖ ≤ κ; ours minimises a tighter bound."""
     goal = Smallest(rate=rate)
-    found = synthesize(plant, controller=goal, observer=goal, sizes=Sizes.ones(4, 1, 1))
+    found = synthesize(plant, controller=goal, observer=goal, sizes=ones(4, 1, 1))
     assert found.controller.rate >= rate
     assert found.observer.rate >= rate
     assert 0.3 * most_K < norm(found.K) < 1.01 * most_K
@@ -80,16 +85,14 @@ def test_the_smallest_gain_of_a_rate_is_no_larger_than_the_known_one(
 @pytest.mark.parametrize("rate", [0.1, 0.3, 1.0])
 def test_the_smallest_gain_of_a_double_integrator_is_nearly_the_one_in_closed_form(rate: float) -> None:
     """Both roots of s² + a s + b are left of −α where a ≥ 2α and b ≥ aα − α²: the least norm is that of (α², 2α)."""
-    task = Task(
-        A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=Sizes.ones(2, 1)
-    )
+    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=ones(2, 1))
     K, certificate = gain(task, Smallest(rate=rate))
     assert certificate.rate >= rate
     assert np.hypot(rate**2, 2 * rate) <= norm(K) <= 1.15 * np.hypot(rate**2, 2 * rate)
 
 
 def test_a_bound_on_the_gain_is_kept_and_used(plant: PWASystem) -> None:
-    task = Task.of(plant, CONTROLLER, sizes=Sizes.ones(4, 1, 1))
+    task = Task.of(plant, CONTROLLER, sizes=ones(4, 1, 1))
     K, certificate = gain(task, Fastest(bound=2.0))
     assert 1.5 < norm(K) <= 2.0
     assert certificate.rate > 0.11  # the smallest gain at 0.1 is 0.82
@@ -107,9 +110,7 @@ def test_the_largest_rate_of_the_example_is_a_quarter(plant: PWASystem) -> None:
 
 
 def test_one_cell_has_no_largest_rate_unless_the_gain_is_bounded() -> None:
-    task = Task(
-        A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=Sizes.ones(2, 1)
-    )
+    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=ones(2, 1))
     with pytest.raises(InvalidSpec, match="no largest rate was found"):
         gain(task, Fastest())
     K, certificate = gain(task, Fastest(bound=5.0))
@@ -122,7 +123,7 @@ def test_one_cell_has_no_largest_rate_unless_the_gain_is_bounded() -> None:
 @pytest.mark.parametrize("bound", [0.1, 5.0, 50.0, 1e6])
 def test_the_fastest_rate_of_a_scalar_plant_is_the_one_in_closed_form(bound: float) -> None:
     """ẋ = −x + u, |K| ≤ κ: the rate is 1 + κ, and no more."""
-    task = Task(A=np.array([[[-1.0]]]), B=np.eye(1), cells=["all"], sizes=Sizes.ones(1, 1))
+    task = Task(A=np.array([[[-1.0]]]), B=np.eye(1), cells=["all"], sizes=ones(1, 1))
     K, certificate = gain(task, Fastest(bound=bound))
     assert norm(K) <= bound
     assert 0.99 * (1 + bound) <= certificate.rate <= 1 + bound
@@ -133,7 +134,7 @@ def test_the_fastest_rate_of_a_scalar_plant_is_the_one_in_closed_form(bound: flo
 def test_a_bound_that_an_unstable_plant_can_just_keep_is_kept(a: float, room: float) -> None:
     """ẋ = a x + b u: below ‖K‖ = a / b no gain holds it, above the rate is b ‖K‖ − a. An LQR gain is twice a / b."""
     b = 0.06 * a
-    task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=Sizes.ones(1, 1))
+    task = Task(A=np.array([[[a]]]), B=np.array([[b]]), cells=["all"], sizes=ones(1, 1))
     bound = room * a / b
     K, certificate = gain(task, Fastest(bound=bound))
     assert norm(K) <= bound
@@ -147,9 +148,7 @@ def test_a_bound_that_an_unstable_plant_can_just_keep_is_kept(a: float, room: fl
 @pytest.mark.parametrize("bound", [0.5, 5.0, 50.0, 1e4])
 def test_the_fastest_rate_of_a_double_integrator_is_nearly_the_one_in_closed_form(bound: float) -> None:
     """The least norm of a rate α is that of (α², 2α), see above: α² = √(4 + κ²) − 2."""
-    task = Task(
-        A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=Sizes.ones(2, 1)
-    )
+    task = Task(A=np.array([[[0.0, 1.0], [0.0, 0.0]]]), B=np.array([[0.0], [1.0]]), cells=["all"], sizes=ones(2, 1))
     K, certificate = gain(task, Fastest(bound=bound))
     fastest = np.sqrt(np.sqrt(4 + bound**2) - 2)
     assert norm(K) <= bound
@@ -179,7 +178,7 @@ def test_every_search_of_a_small_plant_ends_after_few_programs(
         "both": AtLeast(rate=10.0**rate, bound=10.0**bound),
     }
     asked = goals[goal]
-    task = Task(A=A, B=random.normal(size=(n, 1)), cells=[str(i) for i in range(cells)], sizes=Sizes.ones(n, 1))
+    task = Task(A=A, B=random.normal(size=(n, 1)), cells=[str(i) for i in range(cells)], sizes=ones(n, 1))
     with (
         patch.object(picos_model, "solve", wraps=picos_model.solve) as theirs,
         patch.object(primal_dual, "solve", wraps=primal_dual.solve) as ours,
@@ -196,7 +195,7 @@ def test_every_search_of_a_small_plant_ends_after_few_programs(
 def test_a_goal_takes_whole_numbers_and_nothing_else() -> None:
     goal = AtLeast(rate=1, bound=5)
     assert demands(goal) == (1.0, 5.0)
-    task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"], sizes=Sizes.ones(1, 1))
+    task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"], sizes=ones(1, 1))
     assert gain(task, Smallest(rate=3))[1].rate >= 3
     assert norm(gain(task, Fastest(bound=5))[0]) <= 5
     for wrong in (-1.0, np.nan, np.inf, True, "fast", "smallest"):

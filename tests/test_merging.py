@@ -19,8 +19,7 @@ from pwatrack.model.nonlinearity import (
     piecewise_linear,
 )
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import merged, merges
+from pwatrack.model.simplification import merged, merges, scalar_form
 from pwatrack.real import Real
 from tests.plants import random_plant
 

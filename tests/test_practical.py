@@ -22,8 +22,7 @@ from pwatrack.commands.verify import verify
 from pwatrack.control.bounds import Form
 from pwatrack.errors import CheckFailed, ExitCode, Infeasible, InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import Simplification, merges
+from pwatrack.model.simplification import Simplification, merges, scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.summary import print_design

@@ -42,8 +42,7 @@ from pwatrack.lmi.peak_gain import PeakGain, peak_gain
 from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem, linear_form_text
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import Simplification, merges, widest
+from pwatrack.model.simplification import Simplification, merges, scalar_form, widest
 from pwatrack.model.sizes import Sizes
 
 _SHOWN = 8  # signals beside what is tracked

@@ -14,8 +14,7 @@ from pwatrack.control.modes import check_modes
 from pwatrack.errors import OutsideTheory, PwatrackError
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import merged, widest
+from pwatrack.model.simplification import merged, scalar_form, widest
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import is_hurwitz
 

@@ -29,7 +29,7 @@ from pwatrack.ball_matrix import BallMatrix, above, absolute, beside, different,
 from pwatrack.control.vertices import outermost_cells
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
-from pwatrack.rational import fraction_of, identity, number, rank
+from pwatrack.rational import fraction_of, identity, number
 
 _BITS = 100  # of the entries of an integral and its terms, which may cancel; what rounds them is in its radius
 _MORE = 1 + Fraction(1, 2**60)  # times a radius that is rounded
@@ -142,7 +142,7 @@ def _is_matched(plant: PWASystem) -> bool:
     loads, B = plant.loads, plant.exact.B
     assert loads is not None
     known = B.radius is None and loads.E.radius is None
-    return known and rank(B.centre) == B.shape[1] and B.centre * _matched(plant).centre == loads.E.centre
+    return known and B.centre.rank() == B.shape[1] and B.centre * _matched(plant).centre == loads.E.centre
 
 
 def integrals(F: BallMatrix, h: Fraction) -> tuple[BallMatrix, BallMatrix]:

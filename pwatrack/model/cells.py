@@ -12,8 +12,7 @@ import numpy as np
 
 from pwatrack.arrays import EPS, Array, IntArray, readonly
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
-from pwatrack.model.arrangement import Arrangement, TooMany, arrangement
-from pwatrack.model.hyperplanes import claims, merge
+from pwatrack.model.hyperplanes import Arrangement, TooMany, arrangement, claims, merge
 from pwatrack.model.polyhedron import (
     Row,
     borders,
@@ -108,8 +107,8 @@ class Partition:
         except TooMany:
             message = f"{len(planes)} hyperplanes make more than {most:,} cells"
             raise InvalidSpec(message, subject=(ProblemPart.PLANT,), hint="fewer nonlinearities") from None
-        bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.regions], dtype=np.int64)
-        signs = 2 * bits.reshape(len(found.regions), len(planes)) - 1
+        bits = np.array([[region >> k & 1 for k in range(len(planes))] for region in found.points], dtype=np.int64)
+        signs = 2 * bits.reshape(len(found.points), len(planes)) - 1
         return replace(cls._of(planes, n, signs, ("",) * len(signs)), complete=True)
 
     @classmethod
@@ -234,7 +233,7 @@ class Partition:
             return cells
         if self._arrangement is None:
             return None
-        return {region: cells[region] for region in self._arrangement.regions if region in cells}
+        return {region: cells[region] for region in self._arrangement.points if region in cells}
 
     @cached_property
     def _tiling(self) -> Tiling:
@@ -245,8 +244,8 @@ class Partition:
         """Return a problem for a region that is no cell. As all cells are different regions, they do not overlap."""
         assert self._arrangement is not None
         assert self._cells is not None
-        missing = (k for k, region in enumerate(self._arrangement.regions) if region not in self._cells)
-        return [_hole(self._arrangement.point(k, self.H.shape[1])) for k in islice(missing, 1)]
+        missing = (region for region in self._arrangement.points if region not in self._cells)
+        return [_hole(self._arrangement.point(region, self.H.shape[1])) for region in islice(missing, 1)]
 
     def _faults(self) -> list[Problem]:
         """Return a problem per overlapping pair, or else one for a hole."""

@@ -14,14 +14,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Any
 
-import numpy as np
-
-from pwatrack.arrays import IntArray
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.model.linear_form import LinearForm, added
-from pwatrack.rational import rank
+from pwatrack.model.linear_form import LinearForm, PiecewiseElement
 from pwatrack.real import Real
 
 _OFF = (-1, 0, 0)  # signs of p, p + q and q − p
@@ -29,21 +24,19 @@ _TOUCHING = {"leaving": (1, -1, 0), "": (0, 1, -1), "closing": (1, 0, 1)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
+class Contact(PiecewiseElement):
     """Adds direction · f to ẋ.
 
     Raises:
         ValueError: If stiffness or damping is not positive, rate is a multiple of s, or there is no gap.
     """
 
-    name: str  # for the names of the cells
     of: LinearForm  # s
     rate: LinearForm  # ṡ
     stiffness: Real  # of the spring
     damping: Real  # of the damper
     upper: Real  # where s touches
     lower: Real | None = None  # where it touches on the other side, or None
-    direction: Any  # (n,)
 
     def __post_init__(self) -> None:
         """Refuse numbers that make none."""
@@ -51,7 +44,7 @@ class Contact:
             if not float(value) > 0:
                 hint = ": without damping it is a spring or a dead_zone" if what == "damping" else ""
                 raise ValueError(f"{what} is {float(value):g}, expected more than 0{hint}")
-        if rank(BallMatrix.of([self.of.coefficients, self.rate.coefficients]).centre) < 2:
+        if BallMatrix.of([self.of.coefficients, self.rate.coefficients]).centre.rank() < 2:
             raise ValueError("rate is a multiple of 'of', or 0: it is to be how fast that changes, such as a speed")
         if self.lower is not None and not self.lower < self.upper:
             raise ValueError(f"{float(self.lower):g} and {float(self.upper):g} are not in increasing order")
@@ -80,37 +73,6 @@ class Contact:
         return tuple(chain.from_iterable((p, p + q, q - p) for _, _, p, q in self._sides))
 
     @property
-    def signs(self) -> IntArray:
-        """Of its planes in each cell, (cells, planes); 0 where one does not bound it."""
-        return np.array([signs for _, signs, _ in self._cells], dtype=np.int64)
-
-    @cached_property
-    def segments(self) -> tuple[str, ...]:
-        """A name for each cell."""
-        return tuple(name for name, _, _ in self._cells)
-
-    @cached_property
-    def forms(self) -> tuple[LinearForm, ...]:
-        """What f is in each cell."""
-        return tuple(form for _, _, form in self._cells)
-
-    @cached_property
-    def alike(self) -> tuple[int, ...]:
-        """The first cell with the gradient of each."""
-        rows = [form.coefficients for form in self.forms]
-        return tuple(map(rows.index, rows))
-
-    def located(self, sides: IntArray) -> IntArray:
-        """Return its cell for each row of sides of its planes, (l, planes)."""
-        signs = self.signs
-        fits = (signs == 0) | (signs == sides[:, None])
-        return np.asarray(fits.all(axis=2).argmax(axis=1))
-
-    def on(self, cell: int) -> tuple[BallMatrix, BallMatrix]:
-        """Return what it adds to A, (n, n), and to b, (n, 1), in one of its cells."""
-        return added(self.direction, self.forms[cell])
-
-    @property
     def _sides(self) -> Iterator[tuple[str, int, LinearForm, LinearForm]]:
         """Yield the name of each side, the sign of its force, p and q."""
         p, q = (self.of - self.upper) * self.stiffness, self.rate * self.damping
@@ -119,8 +81,8 @@ class Contact:
             yield "below", -1, (self.of - self.lower) * -self.stiffness, -q
 
     @cached_property
-    def _cells(self) -> list[tuple[str, tuple[int, ...], LinearForm]]:
-        """Name, signs and f of each cell."""
+    def cells(self) -> list[tuple[str, tuple[int, ...], LinearForm]]:
+        """Of each cell its name, the signs of the planes, 0 where one does not bound it, and f."""
         sides, nothing = list(self._sides), self.of * 0
         found = [("off" if self.lower is None else "inside", _OFF * len(sides), nothing)]
         for k, (where, sign, p, q) in enumerate(sides):

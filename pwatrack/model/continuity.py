@@ -54,11 +54,7 @@ class Repair:
 
 
 class Discontinuous(Exception):
-    """The field jumps at some facets by more than rounding."""
-
-    def __init__(self, jumps: Sequence[Discontinuity]) -> None:
-        self.jumps = tuple(jumps)
-        super().__init__(f"{len(jumps)} facets")
+    """The field jumps at some facets by more than rounding: its arguments are a `Discontinuity` for each."""
 
 
 def repaired(
@@ -80,14 +76,14 @@ def repaired(
     jumps = [_jump(f, given, planes, sizes) for f in open_]
     large = [jump for jump in jumps if jump.relative > tolerance]
     if large:
-        raise Discontinuous(large)
+        raise Discontinuous(*large)
     closed = _closed(facets, given, planes, sizes.pivots)
     if closed is None:
-        raise Discontinuous(jumps)
+        raise Discontinuous(*jumps)
     changes = [floats(new - old) for new, old in zip(closed, given, strict=True)]
     relative = max(sizes.relative(f, changes[i]) for f in facets for i in (f.i, f.j))
     if relative > tolerance:
-        raise Discontinuous(jumps)
+        raise Discontinuous(*jumps)
     most = np.abs(changes).max(axis=0)
     B = np.zeros((len(most), inputs))
     return closed, Repair(A=readonly(most[:, :-1]), b=readonly(most[:, -1]), B=B, relative=relative)

@@ -76,14 +76,11 @@ def _reached(delta: Array, doubt: Array, order: int, name: str) -> bool:
 
 
 def _check_reached(plant: PWASystem, name: str, order: int, rows: Array, error: Array, size: Array) -> None:
-    """Refuse a derivative that differs between cells, (l, n), unless an input reaches it in each of them.
-
-    Otherwise the next one jumps at facets, by γ Hᵀ f(x) where rows differ by γ Hᵀ, whatever the input does.
-    """
+    """Refuse a derivative that differs between cells, (l, n), unless an input reaches it in each of them."""
     delta, doubt = rows @ plant.B, (error + 4 * len(error) * EPS * np.abs(rows)) @ np.abs(plant.B)
     missed = np.asarray((np.abs(delta) <= doubt).all(axis=1))
     if not missed.any():
-        return
+        return  # else the next one jumps at facets, by γ Hᵀ f(x) where rows differ by γ Hᵀ
     facets = plant.partition.facets
     bent = [f for f in facets if (np.abs(rows[f.i] - rows[f.j]) > size).any()]
     facet = next(f for f in bent if missed[f.i] or missed[f.j])  # cells are connected through facets

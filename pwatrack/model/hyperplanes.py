@@ -1,14 +1,37 @@
-"""Hyperplanes that several cells write: which of them are one."""
+"""Hyperplanes that cells write: which of them are one, and all regions that they cut ℝⁿ into, one by one and exactly.
+
+A region is a whole number whose bit k tells whether it is on the positive side of hyperplane k.
+
+Along independent normals every combination of the strips between parallel hyperplanes is a region. Every other
+hyperplane is added to those before it: the regions that it cuts in two are the regions of a smaller problem, that of
+the others on this hyperplane; of the rest one point tells the side. So no linear program is needed, and the work
+follows the number of regions.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from math import log2
+from itertools import pairwise, product
+from math import lcm, log2, prod
 
 import numpy as np
 
 from pwatrack.arrays import IntArray
-from pwatrack.model.polyhedron import Row, borders, opposite, oriented
+from pwatrack.model.polyhedron import (
+    Point,
+    Row,
+    borders,
+    lifted,
+    moved,
+    opposite,
+    oriented,
+    pivot,
+    primitive,
+    restricted,
+    shortened,
+    value,
+)
+from pwatrack.rational import Rational, fraction_of, on_entries, pivots, rational
 
 _ROUNDING = Fraction(1, 10**12)  # of its own numbers, up to which a border is taken for another one
 
@@ -98,9 +121,7 @@ def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> Shar
 
 
 def difference(one: Row, other: Row) -> Fraction | None:
-    """Return by how much of themselves the numbers of two hyperplanes differ at most, in any units; None if by more."""
-    if any((a == 0) != (b == 0) for a, b in zip(one, other, strict=True)):
-        return None
+    """Return by how much of themselves the numbers of hyperplanes with the same zeros differ; None if by too much."""
     ratios = [Fraction(a, b) for a, b in zip(one, other, strict=True) if b]
     if min(ratios) < 0 < max(ratios):
         return None
@@ -130,3 +151,116 @@ def _has_interior(rows: Sequence[Row], signs: IntArray) -> bool:
 def claims(rows: Sequence[Row], signs: IntArray) -> list[Row]:
     """Return the inequalities of a vector of signs."""
     return [rows[k] if signs[k] > 0 else opposite(rows[k]) for k in np.flatnonzero(signs).tolist()]
+
+
+class TooMany(Exception):
+    """There are more regions than were asked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arrangement:
+    """The regions of a set of hyperplanes."""
+
+    points: dict[int, Point]  # by region a point inside it, as `polyhedron.Point` in coordinates of its own
+    columns: list[int]  # the r states that move in them; the others are 0
+    back: Rational  # takes these coordinates to those states, (r, r)
+
+    def point(self, region: int, n: int) -> tuple[Fraction, ...]:
+        """Return a point (n,) inside a region."""
+        *Y, W = self.points[region]
+        x = [Fraction(0)] * n
+        moving = self.back * rational([[Fraction(y, W)] for y in Y], (len(Y), 1))
+        for column, v in zip(self.columns, moving.entries(), strict=True):
+            x[column] = fraction_of(v)
+        return tuple(x)
+
+
+def arrangement(planes: Sequence[Row], most: int) -> Arrangement:
+    """Return the regions of distinct hyperplanes in ℝⁿ; raises `TooMany` if there are more than `most`.
+
+    Example: three lines of general position in the plane leave one of eight combinations out.
+
+        >>> sorted(arrangement([(1, 0, 0), (0, 1, 0), (1, 1, -1)], 10).points)
+        [0, 1, 2, 3, 5, 6, 7]
+    """
+    n = len(planes[0]) - 1 if planes else 0
+    normals = rational([row[:-1] for row in planes], (len(planes), n))
+    forms = on_entries(normals, pivots(normals.transpose()), range(n))
+    columns = pivots(forms)
+    r = len(columns)
+    back = on_entries(forms, range(r), columns).inv()
+    turned = (on_entries(normals, range(len(planes)), columns) * back).tolist()
+    own = [primitive([*map(fraction_of, line), row[-1]]) for line, row in zip(turned, planes, strict=True)]
+    return Arrangement(points=_regions(own, r, most), columns=columns, back=back)
+
+
+def _regions(planes: Sequence[Row], r: int, most: int) -> dict[int, Point]:
+    """Return the regions in ℝʳ with a point of each, where every coordinate has a hyperplane across it."""
+    across: list[list[int]] = [[] for _ in range(r)]
+    others: list[int] = []
+    for k, row in enumerate(planes):
+        moving = [j for j in range(r) if row[j]]
+        (across[moving[0]] if len(moving) == 1 else others).append(k)
+    if prod(len(ks) + 1 for ks in across) > most:
+        raise TooMany
+    found = _boxes(planes, across)
+    done = [k for ks in across for k in ks]
+    for k in others:
+        _cut(found, planes, done, k, most)
+        done.append(k)
+    return found
+
+
+def _boxes(planes: Sequence[Row], across: Sequence[Sequence[int]]) -> dict[int, Point]:
+    """Return all combinations of the intervals between parallel hyperplanes, with a point of each."""
+    intervals = []
+    for j, ks in enumerate(across):
+        marks = sorted((Fraction(-planes[k][-1], planes[k][j]), k) for k in ks)
+        region = sum(1 << k for _, k in marks if planes[k][j] < 0)
+        inner = [_between(low, high) for (low, _), (high, _) in pairwise(marks)]
+        samples = [marks[0][0] - 1, *inner, marks[-1][0] + 1]
+        found = [(region, samples[0])]
+        for (_, k), sample in zip(marks, samples[1:], strict=True):
+            region ^= 1 << k
+            found.append((region, sample))
+        intervals.append(found)
+    W = lcm(*(sample.denominator for found in intervals for _, sample in found))
+    scaled = [[(region, int(sample * W)) for region, sample in found] for found in intervals]
+    return {sum(region for region, _ in box): (*(X for _, X in box), W) for box in product(*scaled)}
+
+
+def _between(low: Fraction, high: Fraction) -> Fraction:
+    """Return a short dyadic number strictly between two others."""
+    gap = high - low
+    bits = max(0, gap.denominator.bit_length() - gap.numerator.bit_length() + 1)
+    return Fraction((low.numerator << bits) // low.denominator + 1, 1 << bits)
+
+
+def _cut(found: dict[int, Point], planes: Sequence[Row], done: Sequence[int], k: int, most: int) -> None:
+    """Cut the regions of the hyperplanes `done` by another one."""
+    plane, side = oriented(planes[k])
+    before = [planes[d] for d in done]
+    constant, bits, rows = 0, list[list[int]](), dict[Row, int]()  # bits[j]: of `done`, on either side of row j
+    for d, row in zip(done, restricted(before, plane), strict=True):
+        if any(row[:-1]):
+            on, sign = oriented(row)
+            j = rows.setdefault(on, len(rows))
+            if j == len(bits):
+                bits.append([0, 0])
+            bits[j][sign > 0] |= 1 << d
+        elif row[-1] > 0:
+            constant |= 1 << d
+    step = [0] * len(plane[:-1])
+    step[pivot(plane)] = side
+    cut = {}
+    for small, point in _regions(list(rows), len(plane) - 2, most).items():
+        region = constant + sum(pair[small >> j & 1] for j, pair in enumerate(bits))
+        cut[region] = lifted(point, plane)
+    if len(found) + len(cut) > most:
+        raise TooMany
+    for region, point in list(found.items()):
+        if value(planes[k], point) > 0:
+            found[region | 1 << k] = found.pop(region)
+    for region, point in cut.items():
+        for bit, way in ((0, [-v for v in step]), (1 << k, step)):
+            found[region | bit] = shortened(moved(point, way, before), [*before, planes[k]])

@@ -1,19 +1,20 @@
-"""Linear forms of the states, with a constant."""
+"""Linear forms of the states, with a constant, and elements that are another one in each of their cells."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.signal import NotRepresentable
-from pwatrack.real import Real
+from pwatrack.real import Real, Ring
 
 
 @dataclass(frozen=True)
-class LinearForm:
+class LinearForm(Ring):
     """The form coefficients · x + offset, in exact numbers; sums and multiples are forms again."""
 
     coefficients: tuple[Real, ...]
@@ -42,15 +43,6 @@ class LinearForm:
 
     __radd__, __rmul__ = __add__, __mul__
 
-    def __neg__(self) -> "LinearForm":
-        return self * -1.0
-
-    def __sub__(self, other: "LinearForm | Real | float") -> "LinearForm":
-        return self + -other
-
-    def __rsub__(self, other: "Real | float") -> "LinearForm":  # type: ignore[misc]
-        return -self + other
-
     def __truediv__(self, other: "LinearForm | Real | float") -> "LinearForm":
         return self * (other if isinstance(other, LinearForm) else 1 / Real.of(other))
 
@@ -60,7 +52,50 @@ class LinearForm:
     __pow__ = __rpow__ = __rtruediv__
 
 
-def added(direction: Sequence[Any], form: LinearForm) -> tuple[BallMatrix, BallMatrix]:
-    """Return direction · form as what it adds to A, (n, n), and to b, (n, 1)."""
-    column = BallMatrix.of([[v] for v in direction])
-    return column @ BallMatrix.of([form.coefficients]), column @ BallMatrix.of([[form.offset]])
+@dataclass(frozen=True, kw_only=True)
+class PiecewiseElement:
+    """Adds direction · f to ẋ, where f is another linear form of the states in each of its cells."""
+
+    name: str  # for the names of the cells
+    direction: Any  # (n,)
+
+    @property
+    def planes(self) -> Sequence[LinearForm]:
+        """Forms that are 0 where its cells end."""
+        raise NotImplementedError
+
+    @property
+    def cells(self) -> Sequence[tuple[str, Sequence[int] | IntArray, LinearForm]]:
+        """Of each cell its name, the signs of the planes, 0 where one does not bound it, and f."""
+        raise NotImplementedError
+
+    @cached_property
+    def segments(self) -> tuple[str, ...]:
+        """A name for each cell."""
+        return tuple(name for name, _, _ in self.cells)
+
+    @cached_property
+    def forms(self) -> tuple[LinearForm, ...]:
+        """What f is in each cell."""
+        return tuple(form for _, _, form in self.cells)
+
+    @cached_property
+    def signs(self) -> IntArray:
+        """Of its planes in each cell, (cells, planes)."""
+        return np.array([signs for _, signs, _ in self.cells], dtype=np.int64)
+
+    @cached_property
+    def alike(self) -> tuple[int, ...]:
+        """The first cell with the gradient of each."""
+        rows = [form.coefficients for form in self.forms]
+        return tuple(map(rows.index, rows))
+
+    def located(self, sides: IntArray) -> IntArray:
+        """Return its cell for each row of sides of its planes, (l, planes)."""
+        fits = (self.signs == 0) | (self.signs == sides[:, None])
+        return np.asarray(fits.all(axis=2).argmax(axis=1))
+
+    def on(self, cell: int) -> tuple[BallMatrix, BallMatrix]:
+        """Return what it adds to A, (n, n), and to b, (n, 1), in one of its cells."""
+        form, column = self.forms[cell], BallMatrix.of([[v] for v in self.direction])
+        return column @ BallMatrix.of([form.coefficients]), column @ BallMatrix.of([[form.offset]])

@@ -14,8 +14,7 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.model.cells import Partition
 from pwatrack.model.contact import Contact
-from pwatrack.model.linear_form import LinearForm, added
-from pwatrack.rational import rank
+from pwatrack.model.linear_form import LinearForm, PiecewiseElement
 from pwatrack.real import Real
 
 Number = Real | Fraction | float
@@ -43,11 +42,6 @@ class PiecewiseLinear:
         """Return φ(s)."""
         k = bisect_left([float(mark) for mark in self.breakpoints], s)
         return float(self.slopes[k]) * s + float(self.intercepts[k])
-
-    @property
-    def numbers(self) -> tuple[Real, ...]:
-        """All that it is made of."""
-        return *self.breakpoints, *self.slopes, self.value
 
     @property
     def ends(self) -> list[int]:
@@ -117,17 +111,15 @@ def _function(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nonlinearity:
+class Nonlinearity(PiecewiseElement):
     """Adds direction · φ(row · x + constant) to ẋ.
 
     All numbers are `Real`, fractions, or doubles, which count as the decimals that they print as.
     """
 
-    name: str  # for the names of the cells
     function: PiecewiseLinear  # φ
     row: Any  # of the linear form, (n,)
     constant: Number  # of the linear form
-    direction: Any  # (n,)
 
     @cached_property
     def of(self) -> LinearForm:
@@ -140,34 +132,16 @@ class Nonlinearity:
         return [self.of - s for s in self.function.breakpoints]
 
     @property
-    def segments(self) -> tuple[str, ...]:
-        """A name for each segment."""
-        return self.function.segments
-
-    @cached_property
-    def forms(self) -> tuple[LinearForm, ...]:
-        """What φ(row · x + constant) is on each segment."""
-        pieces = zip(self.function.slopes, self.function.intercepts, strict=True)
-        return tuple(self.of * slope + rest for slope, rest in pieces)
-
-    @cached_property
-    def alike(self) -> tuple[int, ...]:
-        """The first segment with the slope of each."""
-        return tuple(map(self.function.slopes.index, self.function.slopes))
-
-    @property
-    def signs(self) -> IntArray:
-        """Of its planes on each segment, (segments, planes)."""
-        count = len(self.function.breakpoints)
-        return 2 * np.tri(count + 1, count, -1, dtype=np.int64) - 1
+    def cells(self) -> list[tuple[str, IntArray, LinearForm]]:
+        """Of each segment its name, the signs of the planes, and what φ(row · x + constant) is there."""
+        count, (slopes, intercepts) = len(self.planes), (self.function.slopes, self.function.intercepts)
+        forms = [self.of * slope + rest for slope, rest in zip(slopes, intercepts, strict=True)]
+        signs = 2 * np.tri(count + 1, count, -1, dtype=np.int64) - 1
+        return list(zip(self.function.segments, signs, forms, strict=True))
 
     def located(self, sides: IntArray) -> IntArray:
-        """Return its segment for each row of sides of its planes, (l, planes)."""
+        """Return its segment for each row of sides of its planes, (l, planes); of many, no table is compared."""
         return np.asarray((sides > 0).sum(axis=1))
-
-    def on(self, segment: int) -> tuple[BallMatrix, BallMatrix]:
-        """Return what it adds to A, (n, n), and to b, (n, 1), on a segment of φ."""
-        return added(self.direction, self.forms[segment])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,11 +155,12 @@ class ScalarForm:
     @cached_property
     def product(self) -> bool:
         """Whether each combination of segments is a cell: the rows are independent. All numbers are to be exact."""
-        numbers = [Real.of(v) for e in self.elements for v in (*e.row, *e.direction, e.constant, *e.function.numbers)]
+        parts = [(e, e.function) for e in self.elements]
+        lists = [(*e.row, *e.direction, e.constant, *f.breakpoints, *f.slopes, f.value) for e, f in parts]
+        numbers = [Real.of(v) for part in lists for v in part]
         if not self.elements or any(X.radius is not None for X in (self.A, self.b)) or any(v.radius for v in numbers):
             return False
-        rows = BallMatrix.of([element.row for element in self.elements]).centre
-        return rank(rows) == len(self.elements)
+        return bool(BallMatrix.of([element.row for element in self.elements]).centre.rank() == len(self.elements))
 
     @cached_property
     def corners(self) -> tuple[int, ...]:
@@ -195,16 +170,13 @@ class ScalarForm:
         return tuple(int(np.ravel_multi_index(cell, counts)) for cell in cells)
 
 
-def drives_away(A: Array, element: Nonlinearity) -> list[int]:
+def drives_away(A: Array, slopes: Sequence[float], row: Array, d: Array) -> list[int]:
     """Return the states through which an element drives what it looks at away from where it acts.
 
-    With s = row · x + constant and row · direction = 0, φ(s) enters s̈ through row A direction, the sum over the states
+    With s = row · x + constant and row · d = 0, φ(s) of these slopes enters s̈ through row A d, the sum over the states
     that it drives; A (n, n) is without the elements. Where one of these terms has the sign of φ's slope, the element
     drives s away through that state. Nothing is said of one whose slopes have both signs, or that acts on ṡ at once.
     """
-    slopes, row, d = (
-        np.array([float(v) for v in values]) for values in (element.function.slopes, element.row, element.direction)
-    )
     signs = {float(np.sign(slope)) for slope in slopes if slope}
     if len(signs) != 1 or row @ d != 0:
         return []

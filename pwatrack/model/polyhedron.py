@@ -4,10 +4,12 @@ Nothing here rounds. An inequality a·x + c ≥ 0 is a `Row` (a_1, …, a_n, c) 
 a point x = X / W a `Point` (X_1, …, X_n, W) with W > 0, so that their product has the sign of a·x + c.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from math import gcd, lcm
 from operator import mul
+
+import flint
 
 Row = tuple[int, ...]
 Point = tuple[int, ...]
@@ -121,7 +123,8 @@ def borders(rows: Iterable[Row], n: int) -> tuple[Row, ...] | None:
     kept = tightest(rows)
     if kept is None:
         return None
-    if not independent({oriented(_direction(row))[0] for row in kept}):  # else every side of every strip is a border
+    normals = [[*line] for line in {oriented(_direction(row))[0] for row in kept}]
+    if len(normals) > n or flint.fmpz_mat(normals).rank() < len(normals):  # else every side of every strip is a border
         inside = interior_point(kept, n)
         if inside is None:
             return None
@@ -176,21 +179,6 @@ def _first_met(point: Point, direction: Sequence[int], rows: Sequence[Row]) -> R
             elif sooner == 0:
                 met = None
     return met
-
-
-def independent(rows: Collection[Row]) -> bool:
-    """Decide whether rows are linearly independent."""
-    if any(len(rows) > len(row) for row in rows):
-        return False
-    echelon: list[tuple[int, Row]] = []
-    for row in rows:
-        for j, other in echelon:
-            if row[j]:
-                row = primitive([other[j] * a - row[j] * b for a, b in zip(row, other, strict=True)])
-        if not any(row):
-            return False
-        echelon.append((pivot(row), row))
-    return True
 
 
 def interior_point(rows: Sequence[Row], n: int) -> Point | None:

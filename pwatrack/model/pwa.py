@@ -82,8 +82,8 @@ class PWASystem:
         cls,
         *,
         partition: Partition,
-        A: object,
-        b: object,
+        A: Any,
+        b: Any,
         B: object,
         C: object,
         tracked: object = None,
@@ -105,8 +105,11 @@ class PWASystem:
         """
         n, cells = partition.H.shape[1], len(partition.names)
         partition.check()
-        given = [_matrix(rows, (n, n), "A") for rows in _sequence(A, cells, "A")]
-        columns = (v if isinstance(v, BallMatrix) else [[entry] for entry in v] for v in _sequence(b, cells, "b"))
+        for name, values in (("A", A), ("b", b)):
+            if len(values) != cells:
+                raise ValueError(f"{name} has {len(values)} matrices, expected {cells}, one per cell")
+        given = [_matrix(rows, (n, n), "A") for rows in A]
+        columns = (v if isinstance(v, BallMatrix) else [[entry] for entry in v] for v in b)
         offsets = [_matrix(column, (n, 1), "b") for column in columns]
         measured = _matrix(C, (None, n), "C")
         empty = partition.empty_cells
@@ -201,7 +204,7 @@ class PWASystem:
         try:
             cells, repair = repaired(self.partition, given, self.B.shape[1], tolerance)
         except Discontinuous as error:
-            worst_first = sorted(error.jumps, key=lambda jump: -jump.relative)
+            worst_first = sorted(error.args, key=lambda jump: -jump.relative)
             raise OutsideTheory(*(self._jump_problem(jump, tolerance) for jump in worst_first)) from None
         if repair is None:
             return self
@@ -253,12 +256,6 @@ class PWASystem:
                 return f"b = ({entries}) in cell '{name}' would mend it", Remedy(Way.OFFSET, (entries, name))
         hint = "correct the cell; for data rounded in print, a larger tolerance accepts a larger jump"
         return hint, Remedy(Way.TOLERANCE, (tolerance,))
-
-
-def _sequence(values: Any, length: int, name: str) -> Any:
-    if len(values) != length:
-        raise ValueError(f"{name} has {len(values)} matrices, expected {length}, one per cell")
-    return values
 
 
 def _matrix(rows: Any, shape: tuple[int | None, int | None], name: str) -> BallMatrix:

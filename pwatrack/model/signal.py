@@ -10,6 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from pwatrack.arrays import EPS, Array
+from pwatrack.real import Ring
 
 ComplexArray = NDArray[np.complex128]
 _JUMP = 1e-9  # of a derivative's own size: what it jumps by less is rounding
@@ -24,7 +25,7 @@ class NotRepresentable(ValueError):
 
 
 @dataclass(frozen=True)
-class ExponentialPolynomial:
+class ExponentialPolynomial(Ring):
     """Σ_λ (c_λ0 + c_λ1 t + …) e^{λt}, real valued: λ comes with its conjugate.
 
     The class is closed under sums, products and differentiation, and holds
@@ -74,15 +75,6 @@ class ExponentialPolynomial:
         return ExponentialPolynomial(terms)
 
     __radd__, __rmul__ = __add__, __mul__
-
-    def __neg__(self) -> "ExponentialPolynomial":
-        return self * -1.0
-
-    def __sub__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
-        return self + -other
-
-    def __rsub__(self, other: float) -> "ExponentialPolynomial":
-        return -self + other
 
     def __truediv__(self, other: "ExponentialPolynomial | float") -> "ExponentialPolynomial":
         if isinstance(other, ExponentialPolynomial):

@@ -110,11 +110,6 @@ class Sizes:
     tracked: Array = field(default_factory=lambda: np.zeros(0))  # of what is tracked, (p,)
 
     @classmethod
-    def ones(cls, n: int, m: int, q: int = 0) -> "Sizes":
-        """Return sizes of 1 in the units given."""
-        return cls(state=np.ones(n), input=np.ones(m), output=np.ones(q), speed=1.0)
-
-    @classmethod
     def of(
         cls, plant: PWASystem, known: Mapping[str, tuple[float, Origin]] | None = None, *, tempo: float = 1.0
     ) -> "Sizes":

@@ -23,9 +23,9 @@ from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject, Undeci
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.signal import NotRepresentable
-from pwatrack.real import Box, Real
+from pwatrack.real import Box, Real, Ring
 from pwatrack.spec.expression import ExpressionError, real
-from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.parametric import ParametricPlant, expressions
 from pwatrack.spec.plant_section import Element, TouchSection
 from pwatrack.spec.wording import shown
 from pwatrack.spec.yaml_tree import path_text
@@ -41,7 +41,7 @@ _MOST_POWER = 20  # of a parameter: nobody writes more
 
 
 @dataclass(frozen=True)
-class LaurentPolynomial:
+class LaurentPolynomial(Ring):
     """Σ c p₁^k₁ p₂^k₂ … with whole exponents, of either sign: c of each product of powers that is not exactly 0.
 
     A sum as a divisor, and an exponent that is no whole number of modest size, are `NotRepresentable`.
@@ -79,15 +79,6 @@ class LaurentPolynomial:
         return _kept(terms)
 
     __radd__, __rmul__ = __add__, __mul__
-
-    def __neg__(self) -> "LaurentPolynomial":
-        return self * -1
-
-    def __sub__(self, other: "_Operand") -> "LaurentPolynomial":
-        return self + -LaurentPolynomial.of(other)
-
-    def __rsub__(self, other: "Real | int") -> "LaurentPolynomial":  # type: ignore[misc]
-        return -self + other
 
     def __truediv__(self, other: "_Operand") -> "LaurentPolynomial":
         divisor = LaurentPolynomial.of(other)
@@ -127,15 +118,7 @@ def _kept(terms: Mapping[Powers, Real]) -> LaurentPolynomial:
     return LaurentPolynomial(kept)
 
 
-@dataclass(frozen=True)
-class Summand:
-    """A part of a sum: where it stands in the file with what stands there, and what it is."""
-
-    text: str
-    polynomial: LaurentPolynomial
-
-    def __neg__(self) -> "Summand":
-        return Summand(self.text, -self.polynomial)
+Summand = tuple[str, LaurentPolynomial]  # a part of a sum: where it stands in the file with what stands there
 
 
 class Dependence:
@@ -155,7 +138,7 @@ class Dependence:
         self._parametric = parametric
         self._names = _polynomials(parametric, free)
         varying = {name for name, value in self._names.items() if value is None or isinstance(value, LaurentPolynomial)}
-        self._written = dict(parametric.varying)
+        self._written = dict(expressions(parametric.written))
         self._varying = {p: e for p, e in self._written.items() if not e.names.isdisjoint(varying)}
 
     def powers(self) -> dict[tuple[str, int], str]:
@@ -163,9 +146,9 @@ class Dependence:
         seen = dict[tuple[str, int], str]()
         try:
             for pieces in self._entries():
-                total = sum((piece.polynomial for piece in pieces), LaurentPolynomial({}))
+                total = sum((polynomial for _, polynomial in pieces), LaurentPolynomial({}))
                 for power in (power for term in total.terms for power in term if power not in seen):
-                    seen[power] = next(p.text for p in pieces if any(power in term for term in p.polynomial.terms))
+                    seen[power] = next(text for text, part in pieces if any(power in term for term in part.terms))
         except NotRepresentable as error:
             message = f"an entry of the plant as a function of the uncertain parameters {error}"
             raise OutsideTheory(message, subject=("system",)) from None
@@ -195,7 +178,7 @@ class Dependence:
         for number in elements:
             for place, first, *others in self._element(number):
                 entries[place] += first
-                yield from ([*pieces, *(-piece for piece in first)] for pieces in others)
+                yield from ([*pieces, *((text, -part) for text, part in first)] for pieces in others)
         yield from entries.values()
 
     def _element(self, number: int) -> Iterator[tuple[Any, ...]]:
@@ -206,19 +189,19 @@ class Dependence:
         shapes = [(path, self._piece((*at, *path), value), unit) for path, value, unit in _units(section, states)]
         found = defaultdict[Subject, list[list[Summand]]](lambda: [[] for _ in shapes[0][2]])
         for state, written in section.into.items():
-            j, factor = states.index(state), self._piece((*at, "into", state), written)
-            for path, shape, unit in shapes:
-                q = factor.polynomial * shape.polynomial
+            j, (factor_text, factor) = states.index(state), self._piece((*at, "into", state), written)
+            for path, (shape_text, shape), unit in shapes:
+                q = factor * shape
                 if not any(q.terms):
                     continue  # the only product of powers in it is the empty one
                 said = (*at, *path) in self._varying or not section.model_fields_set.isdisjoint(path[:1])
-                text = f"{factor.text} times {shape.text}" if said else factor.text
+                text = f"{factor_text} times {shape_text}" if said else factor_text
                 for segment, form in enumerate(unit):
                     places: dict[Subject, Real] = {("A", j, k): v for k, v in enumerate(form.coefficients)}
                     places["b", j] = form.offset
                     for place, coefficient in places.items():
                         if coefficient.centre or coefficient.radius:
-                            found[place][segment].append(Summand(text, q * coefficient))
+                            found[place][segment].append((text, q * coefficient))
         for place, segments in found.items():
             yield place, *segments
 
@@ -226,9 +209,9 @@ class Dependence:
         """Return what stands at a path; its value is `nominal` where that depends on nothing that is left open."""
         if path not in self._varying:
             assert nominal is not None
-            return Summand(self._named(path, nominal), LaurentPolynomial.of(nominal))
+            return self._named(path, nominal), LaurentPolynomial.of(nominal)
         try:
-            return Summand(self._named(path), LaurentPolynomial.of(real(self._varying[path], self._names)))
+            return self._named(path), LaurentPolynomial.of(real(self._varying[path], self._names))
         except ExpressionError:
             message = f"{self._named(path)} is no sum of products of whole powers of the uncertain parameters"
             raise OutsideTheory(message, subject=("system", *path)) from None
@@ -240,11 +223,8 @@ class Dependence:
 
 
 def _units(section: Element, states: Sequence[str]) -> Iterator[tuple[Subject, Real, Sequence[LinearForm]]]:
-    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others.
-
-    Of a contact, whose hyperplanes depend on all its numbers, it is what is in `into` alone.
-    """
-    if isinstance(section, TouchSection):
+    """Yield each number that φ is linear in: its path, its value, and φ with 1 in its place and 0 for the others."""
+    if isinstance(section, TouchSection):  # its hyperplanes depend on all its numbers: what is in `into` alone
         yield (), Real.of(1), section.element(states).forms
         return
     given: dict[str, Any] = {name: v for name in _SHAPE if (v := getattr(section, name, None)) is not None}

@@ -62,11 +62,6 @@ class ParametricPlant:
             tolerance=file.tolerance.continuity,
         )
 
-    @property
-    def varying(self) -> Iterator[tuple[Subject, Expression]]:
-        """Every entry that depends on a parameter, with its path."""
-        return _expressions(self.written, ())
-
     def at(self, parameters: Mapping[str, float | str | Real], subject: Subject) -> tuple[PWASystem, dict[str, float]]:
         """Return the plant with these parameters, the others being as they are, and their values.
 
@@ -83,15 +78,6 @@ class ParametricPlant:
             problems = (replace(p.prefixed(said), subject=subject, place=None) for p in refusal.problems)
             raise type(refusal)(*problems) from None
         return plant, {name: float(value) for name in parameters if (value := values[name]) is not None}
-
-    @property
-    def uses(self) -> dict[str, frozenset[str]]:
-        """The parameters that the value of each is made of."""
-        found = dict[str, frozenset[str]]()
-        for name, written in self.parameters.items():
-            direct = written.names & found.keys()
-            found[name] = direct.union(*(found[other] for other in direct))
-        return found
 
     def _section(self, values: dict[str, Real | None]) -> SystemSection:
         """Return the section of the plant with these values in the entries that depend on them."""
@@ -119,12 +105,13 @@ def _tree(value: Any, written: Any, parameters: Collection[str]) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _expressions(tree: Any, path: Subject) -> Iterator[tuple[Subject, Expression]]:
+def expressions(tree: Any, path: Subject = ()) -> Iterator[tuple[Subject, Expression]]:
+    """Yield every expression of a tree, with its path."""
     if isinstance(tree, Expression):
         yield path, tree
     entries = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     for step, entry in entries:
-        yield from _expressions(entry, (*path, step))
+        yield from expressions(entry, (*path, step))
 
 
 def evaluated(
@@ -136,12 +123,10 @@ def evaluated(
     """
     outside = overrides if outside is None else outside
     values: dict[str, Real | None] = {}
-    problems = []
     texts = dict(section) if isinstance(section, dict) else {}
-    for name in overrides:
-        if name not in texts:
-            message = f"parameter '{name}' is set but not declared; declared: {listed(texts, MOST)}"
-            problems.append(Problem(message=message, subject=None))
+    declared = f"is set but not declared; declared: {listed(texts, MOST)}"
+    unknown = [name for name in overrides if name not in texts]
+    problems = [Problem(message=f"parameter '{name}' {declared}", subject=None) for name in unknown]
     for name, text in texts.items():
         text, value = overrides.get(name, text), None
         try:
@@ -157,9 +142,10 @@ def evaluated(
             foreign = name in outside
             message = f"parameter '{name}': {error}"
             if isinstance(error, UnknownName):
-                below = error.name in texts and error.name != name
-                below_text = "; it is declared below: a parameter may use those above it"
-                message += below_text if below else error.guess if len(problems) < MOST else ""
+                if error.name in texts and error.name != name:
+                    message += "; it is declared below: a parameter may use those above it"
+                elif len(problems) < MOST:
+                    message += error.guess
             message += " (set from outside the file)" if foreign else ""
             problems.append(Problem(message=message, subject=None if foreign else ("parameters", name)))
         values[name] = value

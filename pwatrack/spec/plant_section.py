@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import number_text
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.errors import OutsideTheory, Problem
 from pwatrack.model.cells import Partition
@@ -75,10 +75,6 @@ class ElementSection(Section):
         """Return what it adds; a ValueError if its numbers make nothing."""
         raise NotImplementedError
 
-    def restoring(self, states: Sequence[str]) -> Nonlinearity | None:
-        """Return φ, of a contact that of its spring, where it is one that should pull back."""
-        return None
-
     def direction(self, states: Sequence[str]) -> list[Real]:
         """Return the factor of each state, (n,)."""
         return [self.into.get(state, Real.of(0)) for state in states]
@@ -101,7 +97,6 @@ class ScalarSection(ElementSection):
         raise NotImplementedError
 
     def element(self, states: Sequence[str]) -> Nonlinearity:
-        """Return what it adds; a ValueError if its numbers make nothing."""
         return Nonlinearity(
             name=self.name,
             function=self.function(),
@@ -111,15 +106,7 @@ class ScalarSection(ElementSection):
         )
 
 
-class RestoringSection(ScalarSection):
-    """One that should pull back what it looks at."""
-
-    def restoring(self, states: Sequence[str]) -> Nonlinearity:
-        """Return φ."""
-        return self.element(states)
-
-
-class DeadZoneSection(RestoringSection):
+class DeadZoneSection(ScalarSection):
     """φ = 0 in [lower, upper], lines outside; a pair of elastic stops is the same."""
 
     model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
@@ -132,7 +119,6 @@ class DeadZoneSection(RestoringSection):
     upper_slope: Exact | None = None
 
     def function(self) -> PiecewiseLinear:
-        """Return φ."""
         left = self.slope if self.lower_slope is None else self.lower_slope
         right = self.slope if self.upper_slope is None else self.upper_slope
         return dead_zone(lower=self.lower, upper=self.upper, lower_slope=left, upper_slope=right)
@@ -149,11 +135,10 @@ class SaturationSection(ScalarSection):
     slope: Exact = Real.of(1)
 
     def function(self) -> PiecewiseLinear:
-        """Return φ."""
         return saturation(lower=self.lower, upper=self.upper, slope=self.slope)
 
 
-class SpringSection(RestoringSection):
+class SpringSection(ScalarSection):
     """φ(s) = slope · max(0, s − start)."""
 
     kind: Literal["spring"]
@@ -161,7 +146,6 @@ class SpringSection(RestoringSection):
     slope: Exact = Real.of(1)
 
     def function(self) -> PiecewiseLinear:
-        """Return φ."""
         return spring(start=self.start, slope=self.slope)
 
 
@@ -172,7 +156,6 @@ class AbsoluteSection(ScalarSection):
     slope: Exact = Real.of(1)
 
     def function(self) -> PiecewiseLinear:
-        """Return φ."""
         return absolute(slope=self.slope)
 
 
@@ -185,7 +168,6 @@ class PiecewiseLinearSection(ScalarSection):
     value: Exact | None = None
 
     def function(self) -> PiecewiseLinear:
-        """Return φ."""
         return piecewise_linear(breakpoints=self.breakpoints, slopes=self.slopes, value=self.value)
 
 
@@ -196,14 +178,8 @@ class TouchSection(ElementSection):
     stiffness: Exact
     damping: Exact
 
-    @property
-    def ends(self) -> tuple[Real | None, Real]:
-        """Where it touches from below, if there is such a side, and from above."""
-        raise NotImplementedError
-
-    def element(self, states: Sequence[str]) -> Contact:
-        """Return what it adds; a ValueError if its numbers make nothing."""
-        lower, upper = self.ends
+    def contact(self, states: Sequence[str], lower: Real | None, upper: Real) -> Contact:
+        """Return what it adds where it touches from these ends on, from above alone if there is no lower one."""
         return Contact(
             name=self.name,
             of=self.of,
@@ -215,16 +191,6 @@ class TouchSection(ElementSection):
             direction=self.direction(states),
         )
 
-    def restoring(self, states: Sequence[str]) -> Nonlinearity:
-        """Return the spring, without gap and damper."""
-        return Nonlinearity(
-            name=self.name,
-            function=piecewise_linear(breakpoints=[0], slopes=[self.stiffness, self.stiffness]),
-            row=self.of.coefficients,
-            constant=self.of.offset,
-            direction=self.direction(states),
-        )
-
 
 class ContactSection(TouchSection):
     """A contact from start on."""
@@ -232,10 +198,8 @@ class ContactSection(TouchSection):
     kind: Literal["contact"]
     start: Exact = Real.of(0)
 
-    @property
-    def ends(self) -> tuple[None, Real]:
-        """Where it touches from below and from above."""
-        return None, self.start
+    def element(self, states: Sequence[str]) -> Contact:
+        return self.contact(states, None, self.start)
 
 
 class ElastoBacklashSection(TouchSection):
@@ -247,15 +211,18 @@ class ElastoBacklashSection(TouchSection):
     lower: Exact
     upper: Exact
 
-    @property
-    def ends(self) -> tuple[Real, Real]:
-        """Where it touches from below and from above."""
-        return self.lower, self.upper
+    def element(self, states: Sequence[str]) -> Contact:
+        return self.contact(states, self.lower, self.upper)
 
 
-ScalarElement = DeadZoneSection | SaturationSection | SpringSection | AbsoluteSection | PiecewiseLinearSection
 Element = Annotated[
-    ScalarElement | ContactSection | ElastoBacklashSection,
+    DeadZoneSection
+    | SaturationSection
+    | SpringSection
+    | AbsoluteSection
+    | PiecewiseLinearSection
+    | ContactSection
+    | ElastoBacklashSection,
     Field(discriminator="kind"),
 ]
 
@@ -369,16 +336,19 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
 def _oddities(system: SystemSection, section: Element) -> list[str]:
     """Say what is odd about an element, which changes nothing: it acts on nothing, or pushes where it should pull."""
     element, n = section.element(system.states), len(system.states)
-    d = np.array([float(v) for v in element.direction])
+    d, row = np.array([float(v) for v in element.direction]), section.of.row
     said = f"nonlinearity '{element.name}'"
     if not d.any() or not any(element.on(k)[0].centre for k in range(len(element.segments))):
         return [f"{said} acts on nothing: its {'slopes' if d.any() else 'factors'} are all 0"]
     found, A = list[str](), BallMatrix.of(system.A or [], (n, n))
-    restoring = section.restoring(system.states)
-    wrong = drives_away(A.floats, restoring) if restoring else []
-    if wrong:
+    pulls: Sequence[Real] = ()  # the slopes of what should pull back what it looks at
+    if isinstance(section, TouchSection):
+        pulls = [section.stiffness]
+    elif isinstance(section, DeadZoneSection | SpringSection):
+        pulls = section.function().slopes
+    if wrong := drives_away(A.floats, [float(v) for v in pulls], row, d):
         back = ", ".join(f"{system.states[j]}: {number_text(-d[j])}" for j in wrong)
-        of = linear_form_text(section.of.row, system.states)
+        of = linear_form_text(row, system.states)
         found.append(
             f"{said} pushes {of} on, away from where it acts: write into: {{{back}}} if it should pull it back"
         )
@@ -403,7 +373,7 @@ def _refuse_other_B(system: SystemSection) -> None:
     problems = [
         Problem(
             message=f"cell '{cell.name}' has an input matrix of its own: class (1) has one B for all cells; "
-            f"it differs by up to {np.abs(_doubles(cell.B) - _doubles(system.B)).max():.4g}",
+            f"it differs by up to {np.abs((BallMatrix.of(cell.B) - BallMatrix.of(system.B)).floats).max():.4g}",
             subject=("system", "cells", k, "B"),
             hint="move what switches into the state, for example an actuator's own dynamics",
         )
@@ -432,7 +402,3 @@ def _partition(system: SystemSection, cells: Sequence[CellSection]) -> Partition
         signs=signs,
         names=[cell.name for cell in cells],
     )
-
-
-def _doubles(rows: Sequence[Sequence[Real]]) -> Array:
-    return np.array([[float(v) for v in row] for row in rows])

@@ -140,12 +140,13 @@ def check_cells(requirements: Sequence[Requirement], cells: Sequence[str]) -> No
         Problem(
             message=f"{'.'.join(map(str, at))}: {shown(cell)} is no cell of the plant, nor what one of its elements is",
             subject=(*at, cell),
+            hint=f"there are {', '.join(map(repr, known))}"[:300],
         )
         for cell, at in of.items()
         if cell not in known
     ]
     if wrong:
-        raise InvalidSpec(*(replace(one, hint=f"there are {', '.join(map(repr, known))}"[:300]) for one in wrong))
+        raise InvalidSpec(*wrong)
 
 
 def _quantity(name: str, *, inside: bool) -> Quantity:

@@ -2,9 +2,8 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from fractions import Fraction
 from functools import partial
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import scipy
@@ -41,7 +40,7 @@ from pwatrack.spec.signal_section import (
     TrapezoidSection,
 )
 from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, SimulationSection, StartRegionsSection
-from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, Steady
+from pwatrack.spec.spec import InitialStates, Objectives, Scenario
 from pwatrack.spec.table import FINEST, Folder, read_table
 from pwatrack.spec.yaml_tree import path_text
 
@@ -255,11 +254,9 @@ def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, p
 
 def _reals(column: BallMatrix) -> dict[int, Real]:
     """Return the entries of a column that are not 0."""
-    centres = [fraction_of(v) for v in column.centre.entries()]
-    radii = (
-        [fraction_of(v) for v in column.radius.entries()] if column.radius is not None else [Fraction(0)] * len(centres)
-    )
-    return {j: Real(c, r) for j, (c, r) in enumerate(zip(centres, radii, strict=True)) if c or r}
+    radius = column.centre * 0 if column.radius is None else column.radius
+    both = enumerate(zip(column.centre.entries(), radius.entries(), strict=True))
+    return {j: Real(fraction_of(c), fraction_of(r)) for j, (c, r) in both if c or r}
 
 
 def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 0.0) -> Array:
@@ -272,25 +269,15 @@ def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 
 def _initial_states(section: InitialSection, states: Sequence[str]) -> InitialStates:
     """Return where a run starts; states that are not named start at 0."""
 
-    def start(values: Mapping[str, float] | Sequence[float] | None) -> Array | None:
-        return _vector(values, states) if isinstance(values, Mapping) else None if values is None else readonly(values)
+    def start(values: Any) -> Any:
+        return _vector(values, states) if isinstance(values, Mapping) else ordered(values)
 
-    plant, observer, generator = section.plant, section.observer, section.generator
+    def ordered(values: Any) -> Any:
+        return readonly(values) if isinstance(values, list) else values
+
     return InitialStates(
-        plant=Steady() if isinstance(plant, str) else start(plant),
-        observer=Measured() if isinstance(observer, str) else start(observer),
-        generator=Steady()
-        if isinstance(generator, str)
-        else readonly(generator)
-        if isinstance(generator, list)
-        else generator,
+        plant=start(section.plant), observer=start(section.observer), generator=ordered(section.generator)
     )
-
-
-def _plane(names: Sequence[str] | None, states: Sequence[str]) -> tuple[int, int]:
-    """Return two states by number; the first and the second where nothing is said, one twice where there is one."""
-    first, second = (states.index(name) for name in names or (states[0], states[min(1, len(states) - 1)]))
-    return first, second
 
 
 def _regions(section: StartRegionsSection | None, states: Sequence[str], nominal: InitialStates) -> dict[str, Region]:
@@ -343,10 +330,12 @@ def _goal(section: GoalSection, given: list[list[float]] | None) -> Goal:
 
 
 def _box(uncertain: Mapping[str, Real | tuple[Real, Real]], parametric: ParametricPlant) -> Box:
-    values, uses = parametric.names.parameters, parametric.uses if uncertain else {}
-    box = []
+    uses, box = dict[str, frozenset[str]](), []  # the parameters that the value of each is made of
+    for name, written in parametric.parameters.items() if uncertain else ():
+        direct = written.names & uses.keys()
+        uses[name] = direct.union(*(uses[other] for other in direct))
     for name, given in uncertain.items():
-        nominal = values[name]
+        nominal = parametric.names.parameters[name]
         assert nominal is not None
         low, high = ends_of(nominal, given)
         box.append(Uncertain(name=name, nominal=nominal, low=low, high=high, uses=uses[name]))
@@ -398,14 +387,16 @@ def build_conditions(
 def build_scenario(section: SimulationSection, states: Sequence[str], conditions: Conditions) -> Scenario:
     """Return what is simulated under given conditions."""
     initial = _initial_states(section.initial, states)
+    names = section.ensemble.plane or (states[0], states[min(1, len(states) - 1)])  # one twice where there is one
+    first, second = map(states.index, names)
     return Scenario(
         duration=section.duration,
         sample_time=section.sample_time,
         initial=initial,
         conditions=conditions,
         regions=_regions(section.ensemble.initial, states, initial),
-        plane=_plane(section.ensemble.plane, states),
+        plane=(first, second),
         intervals={name: (low, high) for name, (low, high) in section.ensemble.parameters.items()},
-        portraits=tuple((first, second) for first, second in section.portraits),
+        portraits=tuple((one, other) for one, other in section.portraits),
         bands=section.settled,
     )

@@ -1,6 +1,6 @@
 """Signals of time as pydantic models, and the section `reference`."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, GetJsonSchemaHandler, Tag
@@ -210,7 +210,7 @@ class ReferenceSection(Section):
         if self.input is not None and self.start is None:
             yield Fault(".start is missing: x_d(0), or 'periodic'")
         if self.output is not None and "output" in fitting and context.followed:
-            yield from (fault._replace(late=True) for fault in _output_faults(self.output, context.followed))
+            yield from _output_faults(self.output, context.followed)
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
             yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
 
@@ -219,32 +219,31 @@ class ReferenceSection(Section):
         given = self.outside.filter
         if self.output is None:
             yield Fault(".outside goes with reference.output", key=("outside",))
-        unknown = [*unknown_names(given, context.followed)]
-        for name, meant in unknown:
-            where, text = ("outside", "filter", name), f": {shown(name)} is no tracked output{meant}"
-            yield Fault(text, where, late=True)
-        missing = [name for name in context.followed if name not in given]
-        if missing and not unknown:
-            text = f".outside.filter must give every tracked output, and leaves out {', '.join(missing)}"
-            yield Fault(text, key=("outside",), late=True)
+        yield from _not_each(given, context.followed, ("outside", "filter"))
         if len({len(pace.limits) for pace in given.values()}) > 1:
             yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
 
 
 def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
     """Yield where there is no signal for a tracked output, or one for anything else."""
-    if isinstance(output, ProfileSection):
-        if len(tracked) > 1:
-            text = f".output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
-            one = tracked[0]
-            hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
-            yield Fault(text, hint=hint, key=("output",))
-        return
-    unknown = [*unknown_names(output, tracked)]
-    for name, meant in unknown:
+    if isinstance(output, dict):
         hint = f"entries of a signal are {', '.join(ProfileSection.model_fields)}"
-        text = f": {shown(name)} is no tracked output ({', '.join(tracked)}){meant}"
-        yield Fault(text, ("output", name), hint)
-    missing = [name for name in tracked if name not in output]
+        yield from _not_each(output, tracked, ("output",), f" ({', '.join(tracked)})", hint)
+    elif len(tracked) > 1:
+        text = f".output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
+        one = tracked[0]
+        hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
+        yield Fault(text, hint=hint, key=("output",), late=True)
+
+
+def _not_each(
+    given: Collection[str], tracked: tuple[str, ...], at: tuple[str, ...], known: str = "", hint: str = ""
+) -> Iterator[Fault]:
+    """Yield names that are no tracked output, or else the tracked outputs that are left out."""
+    unknown = [*unknown_names(given, tracked)]
+    for name, meant in unknown:
+        yield Fault(f": {shown(name)} is no tracked output{known}{meant}", (*at, name), hint, late=True)
+    missing = [name for name in tracked if name not in given]
     if missing and not unknown:
-        yield Fault(f".output must give every tracked output, and leaves out {', '.join(missing)}", key=("output",))
+        text = f".{'.'.join(at)} must give every tracked output, and leaves out {', '.join(missing)}"
+        yield Fault(text, key=at[:1], late=True)

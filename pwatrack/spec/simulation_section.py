@@ -76,12 +76,9 @@ class TicksSection(Section):
             yield Fault(text, (), "5 % of it, for example", ("jitter",))
 
 
-def _ticks_kind(value: Any) -> str:
-    return "with jitter" if isinstance(value, dict) else "a time"
-
-
 SampleTime = Annotated[
-    Annotated[Positive, Tag("a time")] | Annotated[TicksSection, Tag("with jitter")], Discriminator(_ticks_kind)
+    Annotated[Positive, Tag("a time")] | Annotated[TicksSection, Tag("with jitter")],
+    Discriminator(lambda value: "with jitter" if isinstance(value, dict) else "a time"),
 ]
 
 

@@ -55,26 +55,17 @@ class Objectives:
         return {CONTROLLER: self.controller, OBSERVER: self.observer}
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A start of the observer: from what is measured then."""
-
-
-@dataclass(frozen=True)
-class Steady:
-    """A start in steady state for the reference as it begins: of the generator, or of the plant, on x_d."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class InitialStates:
     """Where a simulation starts: plant (n,), observer (n,), generator (p,) or some entries by name.
 
-    None is zero, and of the generator as `Steady`.
+    "steady" is in steady state for the reference as it begins: the generator, or the plant, on x_d. "measured" is from
+    what is measured then. None is zero, and of the generator as "steady".
     """
 
-    plant: Array | Steady | None = None
-    observer: Array | Measured | None = None
-    generator: Array | Mapping[str, float] | Steady | None = None
+    plant: Array | Literal["steady"] | None = None
+    observer: Array | Literal["measured"] | None = None
+    generator: Array | Mapping[str, float] | Literal["steady"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,9 +129,8 @@ class Spec:
     @property
     def words(self) -> Words:
         """What its signals are called, and what is asked of its gains."""
-        problem, goals = self.problem, self.objectives.goals
-        conditions, sizes = self.scenario.conditions, problem.sizes
-        return Words(plant=problem.plant, units=problem.units, sizes=sizes, conditions=conditions, goals=goals)
+        problem, conditions, goals = self.problem, self.scenario.conditions, self.objectives.goals
+        return Words(plant=problem.plant, units=problem.units, sizes=problem.sizes, conditions=conditions, goals=goals)
 
     @property
     def measured(self) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 import csv
 import stat
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,11 +28,6 @@ class Folder:
 
     path: Path
     outside: bool = False
-
-    def check(self, path: Path) -> None:
-        """Refuse a file with a ValueError if it is not to be read, wherever links lead."""
-        if not self.outside and not path.resolve().is_relative_to(self.path.resolve()):
-            raise ValueError("it is outside of the spec's folder, and is read with --allow-outside only")
 
 
 def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table:
@@ -62,7 +56,8 @@ def read_table(folder: Folder, section: TableSection, subject: Subject) -> Table
 def _values(text: bytes, section: TableSection) -> Array:
     """Return times in s and values, (K, 2)."""
     lines = _lines(text)
-    delimiter = section.delimiter or _delimiter(lines)
+    header = next((line for line in lines if line.strip()), "")
+    delimiter: str = section.delimiter or max(",;\t", key=header.count)  # the most frequent one
     rows = [
         [cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter, skipinitialspace=True) if row
     ]
@@ -77,7 +72,8 @@ def _values(text: bytes, section: TableSection) -> Array:
             raise ValueError(f"the header has two columns '{name}'")
     wanted = names.index(section.time), names.index(column)
     cells = [tuple(row[k] if k < len(row) else "" for k in wanted) for row in rows[1:]]
-    commas = section.decimal == "," or (section.decimal is None and delimiter != "," and _has_commas(cells))
+    marks = {mark for texts in cells for text in texts for mark in ",." if mark in text}
+    commas = section.decimal == "," or (section.decimal is None and delimiter != "," and marks == {","})
     numbers = []
     for line, (texts, row) in enumerate(zip(cells, rows[1:], strict=True), start=2):
         if len(row) > len(names):
@@ -88,7 +84,8 @@ def _values(text: bytes, section: TableSection) -> Array:
 
 def table_content(path: Path, folder: Folder) -> bytes:
     """Return the bytes of a table; only a regular file is opened, and no more is read than is taken."""
-    folder.check(path)
+    if not folder.outside and not path.resolve().is_relative_to(folder.path.resolve()):  # wherever links lead
+        raise ValueError("it is outside of the spec's folder, and is read with --allow-outside only")
     if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError("not a regular file")
     with path.open("rb") as file:
@@ -108,18 +105,6 @@ def _lines(text: bytes) -> list[str]:
 
 
 _ADVICE = "write points in numbers, or semicolons between columns"
-
-
-def _delimiter(lines: Sequence[str]) -> str:
-    """Return what stands between the columns: of comma, semicolon and tab the most frequent one of the header."""
-    found = Counter(next((line for line in lines if line.strip()), ""))
-    return max((",", ";", "\t"), key=lambda mark: found[mark])
-
-
-def _has_commas(cells: Sequence[Sequence[str]]) -> bool:
-    """Whether numbers are written with decimal commas: some with a comma, and none with a point."""
-    marks = {mark for texts in cells for text in texts for mark in ",." if mark in text}
-    return marks == {","}
 
 
 def _shown(names: list[str]) -> str:

@@ -31,7 +31,7 @@ from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_measured, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
-from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.spec.spec import Spec
 from pwatrack.workflow.headroom import room_of_signals, room_within_limits
 from pwatrack.workflow.outcome import RunMonitor
 from pwatrack.workflow.result import SimulatedLoop
@@ -99,7 +99,7 @@ def asked_of(
         sampled=controller.sampled_gains(sampling) if sampling is not None and corrects else None,
         measured=(
             from_measured(controller.sizes, controller.plant.C)
-            if isinstance(spec.scenario.initial.observer, Measured)
+            if isinstance(spec.scenario.initial.observer, str)
             else None
         ),
         changes=None if sampling is None or rates is None else rates * sampling.sample_time,
@@ -230,14 +230,14 @@ def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     Raises PwatrackError if the spec says it twice, or with wrong lengths.
     """
     controller, initial, n = loop.controller, spec.scenario.initial, spec.problem.plant.A.shape[1]
-    if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
+    if start_fixed(spec, controller) and not isinstance(initial.generator, str | None):
         raise start_given_twice(("simulation", "initial", "generator"))
     eta, steady_state = _generator_start(spec, controller)
     fixed = controller.trajectory.eta0 is not None or (steady_state is not None and starts_periodic(spec))
     x = plant_start(spec, controller.trajectory, controller.generator, eta if fixed else None)
     observer = (
         measured_start(loop, x)
-        if isinstance(initial.observer, Measured)
+        if isinstance(initial.observer, str)
         else initial_values(initial.observer, n, "observer")
     )
     return loop.start(plant=x, observer=observer, generator=eta), steady_state

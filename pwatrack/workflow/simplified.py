@@ -12,8 +12,7 @@ from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import Simplification, merged, widest
+from pwatrack.model.simplification import Simplification, merged, scalar_form, widest
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.sizing import reference_sizes, spec_sizes

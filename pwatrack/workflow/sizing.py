@@ -14,8 +14,7 @@ from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Remedy, Wa
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import widest
+from pwatrack.model.simplification import scalar_form, widest
 from pwatrack.model.sizes import Origin, Sizes
 from pwatrack.simulation.desired import blocks, desired_flow
 from pwatrack.simulation.region import BoxRegion

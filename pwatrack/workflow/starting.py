@@ -13,14 +13,14 @@ from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.steady_state import consistent_start, from_measured
-from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.spec.spec import Spec
 from pwatrack.spec.wording import guess, shown
 
 
 def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
     """Return η̂(0), in order or by the generator's names of states; that of `consistent_start` if none is given."""
     given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
-    if given is None or isinstance(given, Steady):
+    if given is None or isinstance(given, str):
         return consistent_start(trajectory, generator)[0]
     if not isinstance(given, Mapping):
         return initial_values(given, len(names), "generator")
@@ -41,7 +41,7 @@ def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: Trajec
 def start_remarks(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> tuple[str, ...]:
     """Say what was taken where a steady state is asked for that there is not."""
     initial = spec.scenario.initial
-    asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), Steady)]
+    asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), str)]
     if not asked or trajectory.eta0 is not None:
         return ()
     said = consistent_start(trajectory, generator)[1]
@@ -56,7 +56,7 @@ def plant_start(
     `eta` is η̂(0), where the reference says it; else it is that of `consistent_start`.
     """
     given = spec.scenario.initial.plant
-    if not isinstance(given, Steady):
+    if not isinstance(given, str):
         return initial_values(given, len(spec.problem.plant.states), "plant")
     eta = consistent_start(trajectory, generator)[0] if eta is None else eta
     return trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
@@ -93,7 +93,7 @@ def starts_of(
         acting[list(loads.where)] = -loads.truth(disturbance.Q, disturbance.rates) @ disturbance.w0
     for varied in ({}, regions) if regions else ({},):
         x = _columns(varied.get("plant"), plant_at)
-        if isinstance(initial.observer, Measured):
+        if isinstance(initial.observer, str):
             x_hat, own = from_measured(sizes, plant.C) @ plant.C @ x, np.zeros((n, 0))
         else:
             start = _columns(varied.get("observer"), initial_values(initial.observer, n, "observer"))

@@ -22,7 +22,7 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.steady_state import measured_start
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.spec import Measured, Spec
+from pwatrack.spec.spec import Spec
 from pwatrack.workflow.outcome import Outcome, RunMonitor
 from pwatrack.workflow.result import SimulatedLoop
 from pwatrack.workflow.tracking import start_fixed, start_given_twice
@@ -329,7 +329,7 @@ def _member(result: SimulatedLoop, loop: ClosedLoop) -> Member:
 
 def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
     """Let the observer of a member start from what is measured of its own plant, where the spec asks for it."""
-    if isinstance(spec.scenario.initial.observer, Measured):
+    if isinstance(spec.scenario.initial.observer, str):
         start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
 
 
