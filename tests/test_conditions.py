@@ -19,7 +19,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.pictures import pictures
-from pwatrack.simulation.actuator import Actuator
+from pwatrack.simulation.layout import Actuator
 from pwatrack.spec.spec import Steady
 from tests.scenarios import in_scenario
 

@@ -11,9 +11,8 @@ from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
-from pwatrack.simulation.actuator import Actuator, actuators, rate_limits
 from pwatrack.simulation.flow import Clock, Flow, Mode, SwitchedPart
-from pwatrack.simulation.layout import Layout
+from pwatrack.simulation.layout import Actuator, Layout, actuators, rate_limits
 from pwatrack.simulation.propagate import StateResets, pieces, sample_count
 from pwatrack.simulation.trace import Trace
 
@@ -333,7 +332,6 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
     names = {"y": at.y, "u": at.u, "x_hat": at.x_hat, "s_hat": at.s_hat}
     names |= {} if corrects else {"eta_hat": at.eta_hat, "w": at.w_held}
     names |= {"late": at.late, "before": at.before, "wanted": at.wanted, "change": at.change}
-    eta = np.r_[at.eta_hat] if corrects else np.zeros(0, dtype=np.int64)
     pairs = [(program.places[name], where) for name, where in names.items() if where.stop > where.start]
     source, place = (np.r_[side] for side in zip(*pairs, strict=True))
     clock = Clock(
@@ -342,9 +340,7 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
         quantum=np.zeros(len(measured)) if conditions.quanta is None else conditions.quanta.outputs,
         source=source,
         place=place,
-        scale=np.ones(len(place)),
-        eta=eta,
-        eta_scale=np.ones(len(eta)),
+        eta=np.r_[at.eta_hat] if corrects else np.zeros(0, dtype=np.int64),
     )
     return Flow(F0=F0, parts=tuple(parts), clock=clock)
 
