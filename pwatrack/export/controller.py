@@ -47,7 +47,6 @@ class Controller:
                 hint="design it with a sample time: simulation.controller.sample_time",
             )
         self.file = file
-        self.status = _RAN
         self._real: Any = np.float32 if single else np.float64
         self._programs = {given: runs(file, given=given, single=single) for given in (False, True)}
         self._given: bool | None = None
@@ -104,8 +103,9 @@ class Controller:
             x_hat: x̂(0) and ŝ(0), (N,).
             eta_hat: η̂(0), (p,).
         """
-        pairs = zip((x_hat, eta_hat), self.file.started, strict=True)
-        self._start = [np.array(known if given is None else given, dtype=np.float64) for given, known in pairs]
+        known = self.file.started
+        x_hat, eta_hat = known[0] if x_hat is None else x_hat, known[1] if eta_hat is None else eta_hat
+        self._start = np.array(x_hat, dtype=np.float64), np.array(eta_hat, dtype=np.float64)
         self._given, self.status = None, _RAN
         self._prepare(False)
 
@@ -157,4 +157,4 @@ class Controller:
 
     def _prepare(self, given: bool) -> None:
         program, real = self._programs[given], self._real
-        self._routine, self._kept = routine(program, real), memory(program, *self._start, real=real)
+        self._routine, self._kept = routine(program, real), memory(program, *self._start, real)

@@ -195,7 +195,7 @@ def spans(block: Segments, rows: Rows) -> Spans:
     Sizes of Bernstein coefficients are those of a polynomial above |r z|, whose integral is their mean times the
     length; that of the square of the polynomial is known.
     """
-    found = list[tuple[IntArray, Array, Array, Array, Array]]()
+    found = list[tuple[IntArray | Array, ...]]()
     for number, mode in enumerate(block.modes):
         here = np.flatnonzero(block.number == number)
         if not len(here):
@@ -251,14 +251,14 @@ class Enclosing:
             halves = self._narrowed(table, pieces)
             if halves is not None:
                 queue += [(table, part) for part in _parts(table, halves)]
-        side, values, t = self._near_best()
+        side, values, t = map(np.concatenate, zip(*self._seen, strict=True))
         near = values >= self._least[side]
         self._seen = [(side[near], values[near], t[near])]
 
     def range(self) -> Range:
         """Return the bounds on all that was seen."""
         highs, times = np.maximum(self._high, self._best), np.zeros(len(self._best))
-        side, seen, when = self._near_best()
+        side, seen, when = map(np.concatenate, zip(*self._seen, strict=True))
         for k in range(len(times)):
             near = (side == k) & (seen >= self._least[k])
             order = np.argsort(when[near], kind="stable")
@@ -273,10 +273,6 @@ class Enclosing:
         inner, times = (np.column_stack([part[q:], part[:q]]) for part in (inner, times))
         inner[:, 0] *= -1
         return Range(low=-highs[q:], high=highs[:q], inner=inner, times=times)
-
-    def _near_best(self) -> tuple[IntArray, Array, Array]:
-        side, values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
-        return side, values, t
 
     @property
     def _least(self) -> Array:
