@@ -22,6 +22,10 @@ from pwatrack.version import __version__
 Version = Literal[2, 3]
 _OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 _PLATFORMS: Mapping[Version, str] = {2: "linux64", 3: "x86_64-linux"}
+_NAMES: Mapping[Version, Mapping[str, str]] = {  # of what both have
+    2: {"instance": "fmi2Component", "state": "FMUstate", "deserialize": "DeSerialize"},
+    3: {"instance": "fmi3Instance", "state": "FMUState", "deserialize": "Deserialize"},
+}
 _TIME = (1980, 1, 1, 0, 0, 0)  # of all files: the same content is the same file
 _UNKNOWN = "@token@"
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -87,7 +91,8 @@ def packed(model: Model, version: Version, compiler: str | None) -> dict[str, by
     Raises RuntimeError if the compiler refuses the sources.
     """
     main = f"fmi{version}.c"
-    sources = {main: template(main), "instance.h": template("instance.h"), **model.sources}
+    calls = template("fmi_calls.c", version=version, fmi=f"fmi{version}", FMI=f"FMI{version}", **_NAMES[version])
+    sources = {main: template(main, calls=calls), "instance.h": template("instance.h"), **model.sources}
     files = [name for name in sources if name.endswith(".c")]
     whole = [_description(model, version, files, ""), *(text.encode() for text in sources.values())]
     token = str(UUID(hashlib.sha256(b"".join(whole)).hexdigest()[:32]))  # tells it apart from every other one
@@ -176,7 +181,7 @@ def _build_description(model: Model, files: Sequence[str]) -> bytes:
 
 
 def _interface(root: ET.Element, model: Model, version: Version, files: Sequence[str]) -> None:
-    state = "FMUstate" if version == 2 else "FMUState"
+    state = _NAMES[version]["state"]
     said = {
         "modelIdentifier": model.identifier,
         "canHandleVariableCommunicationStepSize": "true" if model.step is None else "false",
@@ -223,16 +228,11 @@ def _structure(root: ET.Element, model: Model, version: Version) -> None:
     """Say that no output depends on an input at once: it follows in the next step."""
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [k for k, variable in enumerate(model.variables) if variable.causality == "output"]
-    if version == 3:
+    for name, more in (("Output", {"dependencies": ""}), ("InitialUnknown", dict[str, str]())):
+        within = structure if version == 3 else ET.SubElement(structure, f"{name}s")
         for k in outputs:
-            ET.SubElement(structure, "Output", valueReference=str(k), dependencies="")
-        for k in outputs:
-            ET.SubElement(structure, "InitialUnknown", valueReference=str(k))
-        return
-    lists = [ET.SubElement(structure, name) for name in ("Outputs", "InitialUnknowns")]
-    for k in outputs:
-        ET.SubElement(lists[0], "Unknown", index=str(k + 1), dependencies="")
-        ET.SubElement(lists[1], "Unknown", index=str(k + 1))
+            number = {"valueReference": str(k)} if version == 3 else {"index": str(k + 1)}
+            ET.SubElement(within, name if version == 3 else "Unknown", number | more)
 
 
 def _line(text: str) -> str:

@@ -211,8 +211,8 @@ def closed_loop(
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
     guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
-        SwitchedPart.of("plant", plant, x, _placed(_field(plant, x), at.x)),
-        SwitchedPart.of("observer", model.model, x_hat, _placed(_field(model.model, x_hat), at.x_hat)),
+        SwitchedPart.of("plant", plant, x, z[at.x].T @ _field(plant, x)),
+        SwitchedPart.of("observer", model.model, x_hat, z[at.x_hat].T @ _field(model.model, x_hat)),
         SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F),
     ]
     parts += _limits(conditions, switched + steady, parts[-1], model, at)
@@ -333,13 +333,6 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
         eta=np.r_[at.eta_hat] if corrects else np.zeros(0, dtype=np.int64),
     )
     return Flow(F0=F0, parts=tuple(parts), clock=clock)
-
-
-def _placed(rates: Array, where: slice) -> Array:
-    """Return what adds such rates, (l, n, N), to what is at `where`, (l, N, N)."""
-    F = np.zeros((len(rates), rates.shape[2], rates.shape[2]))
-    F[:, where] = rates
-    return F
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:

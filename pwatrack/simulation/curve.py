@@ -10,7 +10,7 @@ in either cell, and the residual is enclosed in both. No stay beyond a facet is 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
@@ -182,31 +182,27 @@ class InternalDynamics:
         return powers @ _TO_BERNSTEIN.T, slack
 
 
-class Interpolation:
-    """Polynomials through values at Chebyshev points, as powers of the time since the left end."""
-
-    def __init__(self, degree: int) -> None:
-        unit = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
-        between = np.cos(np.pi * np.arange(degree + 2) / (degree + 1))
-        self.count, self.points = degree + 1, (1 + np.concatenate([unit, between])) / 2
-        self._series = np.linalg.inv(chebyshev.chebvander(unit, degree))  # from values to a Chebyshev series
-        self._others = chebyshev.chebvander(between, degree)
-        shifted = [Chebyshev.basis(k, domain=[0, 1]).convert(kind=Polynomial).coef for k in range(degree + 1)]
-        self._powers = np.array([np.pad(c, (0, degree + 1 - len(c))) for c in shifted]).T
-
-    def __call__(self, seen: Array, span: Array) -> tuple[Array, Array]:
-        """Return coefficients (N, p, degree + 1) for values (N, points, p), and by how much they miss others, (N,)."""
-        known, others = seen[:, : self.count], seen[:, self.count :]
-        off = np.abs(self._others @ (self._series @ known) - others).max(axis=(1, 2))
-        return self.through(known, span), np.asarray(off)
-
-    def through(self, known: Array, span: Array) -> Array:
-        """Return the coefficients of polynomials through values at the first points, (N, count, p)."""
-        powers = (self._powers @ (self._series @ known)).transpose(0, 2, 1)
-        return np.asarray(powers / span[:, None, None] ** np.arange(self.count))
+_NODES = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+_BETWEEN = np.cos(np.pi * np.arange(DEGREE + 2) / (DEGREE + 1))
+POINTS = (1 + np.concatenate([_NODES, _BETWEEN])) / 2  # Chebyshev points of [0, 1], and behind them some between them
+_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, DEGREE))  # from values to a Chebyshev series
+_OTHERS = chebyshev.chebvander(_BETWEEN, DEGREE)
+_SHIFTED = [Chebyshev.basis(k, domain=[0, 1]).convert(kind=Polynomial).coef for k in range(DEGREE + 1)]
+_POWERS = np.array([np.pad(c, (0, DEGREE + 1 - len(c))) for c in _SHIFTED]).T
 
 
-FIT = Interpolation(DEGREE)
+def fitted(seen: Array, span: Array) -> tuple[Array, Array]:
+    """Return polynomials through the first of the values at all points, (N, points, p), and what they miss of others.
+
+    Their coefficients are of powers of the time since the left end of spans (N,), (N, p, DEGREE + 1).
+    """
+    known, others = seen[:, : DEGREE + 1], seen[:, DEGREE + 1 :]
+    return _through(known, span), np.asarray(np.abs(_OTHERS @ (_SERIES @ known) - others).max(axis=(1, 2)))
+
+
+def _through(known: Array, span: Array) -> Array:
+    powers = (_POWERS @ (_SERIES @ known)).transpose(0, 2, 1)
+    return np.asarray(powers / span[:, None, None] ** np.arange(DEGREE + 1))
 
 
 def played(
@@ -220,11 +216,11 @@ def played(
     field = InternalDynamics(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
     start = np.concatenate([k * period + pieces.start for k in range(turns)])
     cut = pieces.cut(float(np.abs(system.rates).max(initial=0.0)))
-    w = states_at(system, cut.start)
+    w = system.states(cut.start.astype(np.longdouble))  # in extended precision, as all below
     off = np.zeros(w.shape)
     for k in range(turns):
         begin = (k * period + pieces.start)[cut.of] + (cut.start - pieces.start[cut.of]).astype(np.longdouble)
-        true = states_at(system, begin)
+        true = system.states(begin)
         phase = np.multiply.outer(np.abs(begin), np.abs(system.rates)) * np.finfo(np.longdouble).eps
         apart = np.abs(true - w) + EPS * np.abs(true) + phase * np.abs(true).max(initial=0.0)
         off = np.maximum(off, apart.astype(np.float64))
@@ -242,11 +238,6 @@ def played(
     )
 
 
-def states_at(system: Exosystem, t: Array) -> Any:
-    """Return w at some times in s in extended precision, (K, s)."""
-    return system.states(np.asarray(t, dtype=np.longdouble))
-
-
 def _signal(starts: Array, c: Array) -> Signal:
     return Signal(tuple(starts.tolist()), tuple(ExponentialPolynomial.polynomial(row) for row in c))
 
@@ -258,7 +249,7 @@ def _left(
 
     It is a difference of large terms, so it is taken with more digits, at Chebyshev points.
     """
-    system, cells, interpolation = trajectory.exosystem, looked.cells(), FIT
+    system, cells = trajectory.exosystem, looked.cells()
     piece = cut.of[looked.of]
     long = looked.length > _INSTANT * pieces.length[piece]
     cells, piece, begin = cells[long], piece[long], looked.start[long]
@@ -270,8 +261,7 @@ def _left(
     half = (until - since) / 2  # where a polynomial of the next degree is nearly one of this
     since, piece, cells, half = (np.repeat(v, 2) for v in (since, piece, cells, half))
     since[1::2] += half[1::2]
-    points = interpolation.points[: interpolation.count]
-    tau = since[:, None].astype(np.longdouble) + half[:, None] * points
+    tau = since[:, None].astype(np.longdouble) + half[:, None] * POINTS[: DEGREE + 1]
     eta = slope = np.zeros((*tau.shape, pieces.c.shape[1]), dtype=np.longdouble)
     for c in pieces.c[piece].transpose(2, 0, 1)[::-1]:  # Horner's rule
         slope, eta = slope * tau[:, :, None] + eta, eta * tau[:, :, None] + c[:, None]
@@ -279,10 +269,10 @@ def _left(
     for k in range(turns):
         begin = k * period + pieces.start
         t = begin[piece, None] + tau
-        w = states_at(system, t.ravel()).reshape(*t.shape, -1)
+        w = system.states(t.ravel()).reshape(*t.shape, -1)
         z = np.concatenate([eta, w, np.ones((*t.shape, 1))], axis=2)
         rho = slope - np.einsum("nps,nts->ntp", trajectory.rate[cells], z)
-        found.append(interpolation.through(rho.astype(np.float64), half))
+        found.append(_through(rho.astype(np.float64), half))
         starts.append(begin[piece] + since)
     all_ = np.concatenate(found)
     return exosystem([_signal(np.concatenate(starts), all_[:, k]) for k in range(all_.shape[1])])

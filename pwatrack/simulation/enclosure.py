@@ -285,12 +285,6 @@ class Enclosing:
             return np.asarray(np.linalg.norm(values, axis=-1, keepdims=True))
         return np.concatenate([values, -values], axis=-1)
 
-    def _spread(self, off: Array) -> Array:
-        """Return by how much that can rise where the values change by at most so much."""
-        if self._norm:
-            return np.asarray(np.linalg.norm(off, axis=-1, keepdims=True))
-        return np.concatenate([off, off], axis=-1)
-
     def _attain(self, values: Array, t: Array) -> None:
         """Take note of values (P, sides) that are attained at times (P,) or (P, sides), or as good as that."""
         top = values.max(axis=0)
@@ -315,7 +309,7 @@ class Enclosing:
         with np.errstate(over="ignore", invalid="ignore"):
             powers, off = table.polynomials(zeta, length, int(levels.max()))
             control = np.tensordot(_BERNSTEIN[len(powers) - 1], powers, 1)  # (degree + 1, P, q)
-            upper = self._sides(control).max(axis=0) + self._spread(off)
+            upper = self._sides(control).max(axis=0) + np.abs(self._sides(off))
             upper = np.where(np.isnan(upper), np.inf, upper)
             above = self._above(table, upper, zeta)
             if above.any():
@@ -331,8 +325,8 @@ class Enclosing:
         """Return which pieces may be above the best by more than they need be, (P,)."""
         above = np.asarray((upper > self._best + CLOSE * self._size).any(axis=1))
         if above.any():  # not by noise alone
-            noise = _NOISE * self._spread(table.u * np.abs(zeta[above]) @ table.bounds(0)[:, : table.rows.shape[1]])
-            above[above] = (upper[above] > self._best + noise).any(axis=1)
+            noise = table.u * np.abs(zeta[above]) @ table.bounds(0)[:, : table.rows.shape[1]]
+            above[above] = (upper[above] > self._best + _NOISE * np.abs(self._sides(noise))).any(axis=1)
         return above
 
     def _tops(self, powers: Array, off: Array, t: Array, length: Array) -> None:
@@ -347,7 +341,7 @@ class Enclosing:
             values = np.zeros_like(off)
             for coefficient in powers[::-1]:
                 values = values * tau + coefficient
-            sides = self._sides(values) - self._spread(off)
+            sides = self._sides(values) - np.abs(self._sides(off))
             sides[np.isnan(sides)] = -np.inf
             if (sides.max(axis=0) >= self._least).any():
                 at = tau[:, :1] if self._norm else np.hstack([tau, tau])
