@@ -205,9 +205,10 @@ def _units(root: ET.Element, model: Model) -> None:
     for name in names:
         unit, base = ET.SubElement(units, "Unit", name=_line(name)), base_unit(name)
         if base is not None:
-            said = {power: str(value) for power, value in base.powers.items()}
-            said |= {"factor": repr(base.factor)} if base.factor != 1 else {}
-            ET.SubElement(unit, "BaseUnit", said | ({"offset": repr(base.offset)} if base.offset else {}))
+            powers, factor, offset = base
+            said = {power: str(value) for power, value in powers.items()}
+            said |= {"factor": repr(factor)} if factor != 1 else {}
+            ET.SubElement(unit, "BaseUnit", said | ({"offset": repr(offset)} if offset else {}))
 
 
 def _variable(variables: ET.Element, variable: ModelVariable, number: int, version: Version) -> None:
@@ -246,28 +247,19 @@ def _text(root: ET.Element) -> bytes:
     return found + b"\n"
 
 
-@dataclass(frozen=True)
-class BaseUnit:
-    """A value v of a unit is factor · v + offset in these powers of base units."""
-
-    powers: Mapping[str, int]
-    factor: float
-    offset: float
-
-
-def base_unit(text: str) -> BaseUnit | None:
-    """Return a unit in base units, or None where it cannot be read.
+def base_unit(text: str) -> tuple[Mapping[str, int], float, float] | None:
+    """Return powers of base units, factor and offset: v of a unit is factor · v + offset; None where it is not known.
 
     A product has spaces, `*` or `·` between its factors; `/` divides by the next one; a number is a power.
 
     Example:
         >>> base_unit("mN m/s^2")
-        BaseUnit(powers={'kg': 1, 'm': 2, 's': -4}, factor=0.001, offset=0.0)
-        >>> base_unit("degC").offset, base_unit("degC/s").powers, base_unit("pieces")
-        (273.15, {'s': -1, 'K': 1}, None)
+        ({'kg': 1, 'm': 2, 's': -4}, 0.001, 0.0)
+        >>> base_unit("degC"), base_unit("degC/s"), base_unit("pieces")
+        (({'K': 1}, 1.0, 273.15), ({'s': -1, 'K': 1}, 1.0, 0.0), None)
     """
     if text in _CELSIUS:
-        return BaseUnit({"K": 1}, 1.0, 273.15)
+        return {"K": 1}, 1.0, 273.15
     powers, factor, place = dict[str, int](), 1.0, 0
     for part in _PART.finditer(text):
         found = _symbol(part[2])
@@ -280,7 +272,7 @@ def base_unit(text: str) -> BaseUnit | None:
             powers[name] = powers.get(name, 0) + power * count
     if not text or place != len(text):
         return None
-    return BaseUnit({name: powers[name] for name in _BASE if powers.get(name)}, factor, 0.0)
+    return {name: powers[name] for name in _BASE if powers.get(name)}, factor, 0.0
 
 
 def _symbol(text: str) -> tuple[float, Mapping[str, int]] | None:

@@ -27,7 +27,7 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.model.reference import Exosystem, beside, exosystem, spectral_terms
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import DEGREE, POINTS, InternalDynamics, Looked, Pieces, fitted, joined, played
+from pwatrack.simulation.curve import DEGREE, POINTS, Looked, Pieces, fitted, joined, look, played
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -198,15 +198,15 @@ class _Problem:
         self.d = balancing(trajectory.rate[:, :, :p])
         self.rate = trajectory.rate / self.d[:, None]
         self.rate[:, :, :p] *= self.d
-        self.guards = trajectory.guards.copy()
-        self.guards[:, :p] *= self.d
-        self.signs, self.end, self.periodic, self.p = trajectory.signs, end, periodic, p
+        guards = trajectory.guards.copy()
+        guards[:, :p] *= self.d
+        self.balanced = replace(trajectory, rate=self.rate, guards=guards)
+        self.end, self.periodic, self.p = end, periodic, p
         self.turns = ReferenceTransition(system)
         breaks = dict.fromkeys([start, 0.0, *(reset.t for reset in system.resets)])
         self.breaks = [t for t in breaks if start <= t < end]
         starts = system.states(np.array(self.breaks, dtype=np.longdouble)).astype(np.float64)
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
-        self.field = InternalDynamics(rate=self.rate, guards=self.guards, signs=self.signs, S=system.S)
         self.quick = float(np.abs(system.rates).max(initial=0.0))
         poles = np.linalg.eigvals(self.rate[:, :, :p])
         self.fastest, self.settled = float(np.abs(poles).max()), _SETTLED / float(np.abs(poles.real).min())
@@ -325,7 +325,7 @@ class _Solution:
         w = np.zeros((len(piece), len(problem.turns.S) - 1))
         for k in range(len(problem.pieces)):
             w[piece == k] = problem.w(k, cut.start[piece == k])[:, :-1]
-        looked = replace(problem.field, rate=self.rate).look(cut, w, 4 * EPS * np.abs(w), sharp=False)
+        looked = look(replace(problem.balanced, rate=self.rate), cut, w, 4 * EPS * np.abs(w), sharp=False)
         return cut, replace(looked, of=pieces.of[cut.of[looked.of]])
 
     @property
