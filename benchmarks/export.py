@@ -47,7 +47,7 @@ from pwatrack.export.source import Source, Vector
 from pwatrack.export.stored import parsed
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.controller import has_tables, starts, written
-from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.simulation.sampled_runs import SampleMaps
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
 from tests.fmus import Block

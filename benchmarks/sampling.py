@@ -16,8 +16,7 @@ from pwatrack.errors import CheckFailed, PwatrackError
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from pwatrack.simulation.sample_map import SampleMaps
-from pwatrack.simulation.sampled_runs import dying_out
+from pwatrack.simulation.sampled_runs import SampleMaps, dying_out
 from tests.plants import random_plant
 from tests.promises import track
 

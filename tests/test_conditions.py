@@ -19,7 +19,7 @@ from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.pictures import pictures
-from pwatrack.simulation.actuator import Actuator
+from pwatrack.simulation.layout import Actuator
 from tests.scenarios import in_scenario
 
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}

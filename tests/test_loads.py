@@ -29,7 +29,7 @@ from pwatrack.real import Real
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.files import write_result
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
-from pwatrack.simulation.sample_map import SampleMaps
+from pwatrack.simulation.sampled_runs import SampleMaps
 from pwatrack.spec.expression import formula
 from pwatrack.workflow.sizing import spec_sizes
 from tests.conftest import SPECS

@@ -28,8 +28,7 @@ from pwatrack.lmi.audit.ticks import AuditedErrors
 from pwatrack.lmi.clocked import ClockedProof, fastest
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
-from pwatrack.simulation.sample_map import SampleMaps
-from pwatrack.simulation.sampled_runs import sampling_remarks
+from pwatrack.simulation.sampled_runs import SampleMaps, sampling_remarks
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
 
 LOADED = """

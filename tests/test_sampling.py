@@ -18,8 +18,7 @@ from pwatrack.export.controller import Controller
 from pwatrack.model.conditions import Conditions, Method, Sampling
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.propagate import simulate_flow, tick_times
-from pwatrack.simulation.sample_map import SampleMaps
-from pwatrack.simulation.sampled_runs import check_sample_time, dying_out
+from pwatrack.simulation.sampled_runs import SampleMaps, check_sample_time, dying_out
 from tests.plants import random_plant
 from tests.promises import random_loop, track
 from tests.test_cli import call, index_of, refused

@@ -47,7 +47,6 @@ class Controller:
                 hint="design it with a sample time: simulation.controller.sample_time",
             )
         self.file = file
-        self.status = _RAN
         self._real: Any = np.float32 if single else np.float64
         self._programs = {given: runs(file, given=given, single=single) for given in (False, True)}
         self._given: bool | None = None
@@ -105,8 +104,8 @@ class Controller:
             eta_hat: η̂(0), (p,).
         """
         known = self.file.started
-        self._x_hat = np.array(known[0] if x_hat is None else x_hat, dtype=np.float64)
-        self._eta_hat = np.array(known[1] if eta_hat is None else eta_hat, dtype=np.float64)
+        x_hat, eta_hat = known[0] if x_hat is None else x_hat, known[1] if eta_hat is None else eta_hat
+        self._start = np.array(x_hat, dtype=np.float64), np.array(eta_hat, dtype=np.float64)
         self._given, self.status = None, _RAN
         self._prepare(False)
 
@@ -129,16 +128,11 @@ class Controller:
             self._given = given
         elif self._given != given:
             raise ValueError("the reference is given in some steps and not in others: reset in between")
-        of = self._programs[given].sizes
+        q, entries = self._programs[given].sizes["q"], len(self._programs[given].given)
         measured, wanted = (np.array(v if v is not None else [], dtype=self._real).reshape(-1) for v in (y, y_d))
-        if len(measured) != of["q"] or (given and len(wanted) != len(self._programs[given].given)):
-            raise ValueError(
-                f"{of['q']} outputs"
-                + f" and {len(self._programs[given].given)} entries of the reference" * given
-                + " are expected"
-            )
-        kept = self._kept
-        self.status = int(tick(self._routine, kept["memory"], kept["counts"], kept["room"], measured, wanted))
+        if len(measured) != q or (given and len(wanted) != entries):
+            raise ValueError(f"{q} outputs{f' and {entries} entries of the reference' * given} are expected")
+        self.status = int(tick(self._routine, **self._kept, y=measured, given=wanted))
         return self.state("u")
 
     def to_control(self, *, given: bool = False) -> Any:
@@ -157,13 +151,10 @@ class Controller:
         from pwatrack.export.python_control import sampled_system
 
         plant, of = self.file.plant, self._programs[given]
-        labels = {
-            "name": prefix(self.file.name),
-            "inputs": [*plant.outputs, *(f"{w}_ref" for w in of.given)],
-            "outputs": plant.inputs,
-        }
-        return sampled_system(of, *self.file.started, self._real, {**labels, "units": plant.units})
+        inputs = [*plant.outputs, *(f"{w}_ref" for w in of.given)]
+        labels = {"name": prefix(self.file.name), "inputs": inputs, "outputs": plant.inputs}
+        return sampled_system(of, *self.file.started, self._real, plant.units, **labels)
 
     def _prepare(self, given: bool) -> None:
         program, real = self._programs[given], self._real
-        self._routine, self._kept = routine(program, real), memory(program, self._x_hat, self._eta_hat, real)
+        self._routine, self._kept = routine(program, real), memory(program, *self._start, real)

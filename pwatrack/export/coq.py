@@ -51,78 +51,68 @@ def development(content: Any, name: str) -> dict[str, str]:
     order = " ".join(f"{part}.v" for part in (*THEORY, RUN))
     check = f".PHONY: check\ncheck:\n\tset -e; for file in {order}; do coqc $$file; done\n"
     make = f"# Every file has to pass. The last prints what its theorems rest on.\n{check}"
-    return theory | {f"{RUN}.v": _Run(content, name).text(), "Makefile": make}
+    return theory | {f"{RUN}.v": _run(content, name), "Makefile": make}
 
 
-class _Run:
-    """What belongs to one run: its numbers, what is computed of them, and what follows."""
+def _run(content: Any, name: str) -> str:
+    """Return the file of one run: its numbers, what is computed of them, and what follows."""
+    controller, observer, generator = _proofs(content)
+    spec, practical = str(content["spec_sha256"]), content.get("practical")
+    if not re.fullmatch("[0-9a-f]{64}", spec):
+        raise InvalidSpec("its digest of the spec is none")
+    plant, apart = _all_cells(content["plant"]), practical is not None and practical["observer_runs"] == "all cells"
+    A_eta, shift = _generator(plant, content)
+    generator = generator if A_eta else None
+    numbers = _numbers(plant, content, shift)
+    if apart:
+        seen = _all_cells(practical["plant"])
+        numbers["A_seen"] = ("slopes of the plant that the observer runs", [X for X, _ in seen.seen_A])
+    if generator is not None:
+        numbers["A_eta"] = ("slopes of the generator (15), by the normal form (11) of the plant", A_eta)
+    proofs = {"controller": controller, "observer": observer, "generator": generator}
+    rates = {role: number(proof["rate"]) for role, proof in proofs.items() if proof is not None}
+    D = lcm(*(v.denominator for v in _flat([*(value for _, value in numbers.values()), *rates.values()])))
+    P = _form(controller)
+    W, d = inverse(P)
+    of = {
+        "name": name,
+        "spec": spec,
+        "replaced": " with parameters replaced" * bool(content["set"]),
+        "centres": template("coq_centres.v") if at_centres(content) else "",
+        "files": ", ".join(f"{part}.v" for part in THEORY),
+        "theory": " ".join(THEORY),
+        "D": D,
+        "numbers": "\n".join(
+            f"(* {meaning} *)\n{_definition(symbol, _scaled(value, D))}" for symbol, (meaning, value) in numbers.items()
+        ),
+        "P": "\n".join(_definition(symbol, value) for symbol, value in (("P", P), ("W", W), ("d", d))),
+        "Q": _definition("Q", _form(observer)),
+        **{role: rate * D for role, rate in rates.items()},
+        "n": len(plant.B[0]),
+        "N": len(plant.seen_A[0][0]),
+        "seen": "A_seen" if apart else "A",
+        "merged": " of the plant with merged cells" * (practical is not None),
+        "converges": "",
+        "forgets": _UNPROVED if generator is None and content["generator"] is not None else "",
+    }
+    theorems = ["controller", "observer"] if apart else [f"{name}_tracks"]
+    tracks = _APART if apart else template("coq_tracks.v", **of)
+    if generator is not None:
+        of |= {"r": len(A_eta[0]), "P_eta": _definition("P_eta", _form(generator))}
+        of |= {part: template(f"coq_{part}.v", **of) for part in ("converges", "forgets")}
+        theorems.append(f"{name}_generator")
+    return template("coq_run.v", **of, tracks=tracks, theorems=", ".join(theorems))
 
-    def __init__(self, content: Any, name: str) -> None:
-        if refuses(content):
-            raise InvalidSpec("it proves that something is impossible: there is no loop to prove anything of")
-        self.content, self.name, practical = content, name, content.get("practical")
-        self.proofs = {of: _best(content["proofs"], of) for of in ("controller", "observer", "generator")}
-        for of in ("controller", "observer"):
-            if self.proofs[of] is None:
-                raise InvalidSpec(
-                    f"the {of} is not proved by a quadratic form at a rate, of which alone the theory speaks"
-                )
-        self.spec = str(content["spec_sha256"])
-        if not re.fullmatch("[0-9a-f]{64}", self.spec):
-            raise InvalidSpec("its digest of the spec is none")
-        self.merged = practical is not None
-        self.apart = practical is not None and practical["observer_runs"] == "all cells"
-        plant = _all_cells(content["plant"])
-        A_eta, shift = _generator(plant, content)
-        if not A_eta:
-            self.proofs["generator"] = None
-        self.numbers = _numbers(plant, content, shift)
-        if self.apart:
-            seen = _all_cells(practical["plant"])
-            self.numbers["A_seen"] = ("slopes of the plant that the observer runs", [X for X, _ in seen.seen_A])
-        if self.proofs["generator"] is not None:
-            self.numbers["A_eta"] = ("slopes of the generator (15), by the normal form (11) of the plant", A_eta)
-        self.n, self.N = len(plant.B[0]), len(plant.seen_A[0][0])
-        self.rates = {of: number(proof["rate"]) for of, proof in self.proofs.items() if proof is not None}
-        self.D = lcm(
-            *(v.denominator for v in _flat([*(value for _, value in self.numbers.values()), *self.rates.values()]))
-        )
 
-    def text(self) -> str:
-        """Return the file."""
-        P, generator = _form(self.proofs["controller"]), self.proofs["generator"]
-        W, d = inverse(P)
-        of = {
-            "name": self.name,
-            "spec": self.spec,
-            "replaced": " with parameters replaced" * bool(self.content["set"]),
-            "centres": template("coq_centres.v") if at_centres(self.content) else "",
-            "files": ", ".join(f"{part}.v" for part in THEORY),
-            "theory": " ".join(THEORY),
-            "D": self.D,
-            "numbers": "\n".join(
-                f"(* {meaning} *)\n{_definition(symbol, _scaled(value, self.D))}"
-                for symbol, (meaning, value) in self.numbers.items()
-            ),
-            "P": "\n".join(_definition(symbol, value) for symbol, value in (("P", P), ("W", W), ("d", d))),
-            "Q": _definition("Q", _form(self.proofs["observer"])),
-            **{role: rate * self.D for role, rate in self.rates.items()},
-            "n": self.n,
-            "N": self.N,
-            "seen": "A_seen" if self.apart else "A",
-            "merged": " of the plant with merged cells" * self.merged,
-            "converges": "",
-            "forgets": "",
-        }
-        theorems = ["controller", "observer"] if self.apart else [f"{self.name}_tracks"]
-        tracks = _APART if self.apart else template("coq_tracks.v", **of)
-        if generator is not None:
-            of |= {"r": len(self.numbers["A_eta"][1][0]), "P_eta": _definition("P_eta", _form(generator))}
-            of |= {part: template(f"coq_{part}.v", **of) for part in ("converges", "forgets")}
-            theorems.append(f"{self.name}_generator")
-        elif self.content["generator"] is not None:
-            of["forgets"] = _UNPROVED
-        return template("coq_run.v", **of, tracks=tracks, theorems=", ".join(theorems))
+def _proofs(content: Any) -> list[Any]:
+    """Return the proofs of controller, observer, and generator, where that has one."""
+    if refuses(content):
+        raise InvalidSpec("it proves that something is impossible: there is no loop to prove anything of")
+    found = {of: _best(content["proofs"], of) for of in ("controller", "observer", "generator")}
+    for of in ("controller", "observer"):
+        if found[of] is None:
+            raise InvalidSpec(f"the {of} is not proved by a quadratic form at a rate, of which alone the theory speaks")
+    return list(found.values())
 
 
 def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:

@@ -22,6 +22,10 @@ from pwatrack.version import __version__
 Version = Literal[2, 3]
 _OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 _PLATFORMS: Mapping[Version, str] = {2: "linux64", 3: "x86_64-linux"}
+_NAMES: Mapping[Version, Mapping[str, str]] = {  # of what both have
+    2: {"instance": "fmi2Component", "state": "FMUstate", "deserialize": "DeSerialize"},
+    3: {"instance": "fmi3Instance", "state": "FMUState", "deserialize": "Deserialize"},
+}
 _TIME = (1980, 1, 1, 0, 0, 0)  # of all files: the same content is the same file
 _UNKNOWN = "@token@"
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -87,7 +91,8 @@ def packed(model: Model, version: Version, compiler: str | None) -> dict[str, by
     Raises RuntimeError if the compiler refuses the sources.
     """
     main = f"fmi{version}.c"
-    sources = {main: template(main), "instance.h": template("instance.h"), **model.sources}
+    calls = template("fmi_calls.c", version=version, fmi=f"fmi{version}", FMI=f"FMI{version}", **_NAMES[version])
+    sources = {main: template(main, calls=calls), "instance.h": template("instance.h"), **model.sources}
     files = [name for name in sources if name.endswith(".c")]
     whole = [_description(model, version, files, ""), *(text.encode() for text in sources.values())]
     token = str(UUID(hashlib.sha256(b"".join(whole)).hexdigest()[:32]))  # tells it apart from every other one
@@ -176,7 +181,7 @@ def _build_description(model: Model, files: Sequence[str]) -> bytes:
 
 
 def _interface(root: ET.Element, model: Model, version: Version, files: Sequence[str]) -> None:
-    state = "FMUstate" if version == 2 else "FMUState"
+    state = _NAMES[version]["state"]
     said = {
         "modelIdentifier": model.identifier,
         "canHandleVariableCommunicationStepSize": "true" if model.step is None else "false",
@@ -200,9 +205,10 @@ def _units(root: ET.Element, model: Model) -> None:
     for name in names:
         unit, base = ET.SubElement(units, "Unit", name=_line(name)), base_unit(name)
         if base is not None:
-            said = {power: str(value) for power, value in base.powers.items()}
-            said |= {"factor": repr(base.factor)} if base.factor != 1 else {}
-            ET.SubElement(unit, "BaseUnit", said | ({"offset": repr(base.offset)} if base.offset else {}))
+            powers, factor, offset = base
+            said = {power: str(value) for power, value in powers.items()}
+            said |= {"factor": repr(factor)} if factor != 1 else {}
+            ET.SubElement(unit, "BaseUnit", said | ({"offset": repr(offset)} if offset else {}))
 
 
 def _variable(variables: ET.Element, variable: ModelVariable, number: int, version: Version) -> None:
@@ -223,16 +229,11 @@ def _structure(root: ET.Element, model: Model, version: Version) -> None:
     """Say that no output depends on an input at once: it follows in the next step."""
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [k for k, variable in enumerate(model.variables) if variable.causality == "output"]
-    if version == 3:
+    for name, more in (("Output", {"dependencies": ""}), ("InitialUnknown", dict[str, str]())):
+        within = structure if version == 3 else ET.SubElement(structure, f"{name}s")
         for k in outputs:
-            ET.SubElement(structure, "Output", valueReference=str(k), dependencies="")
-        for k in outputs:
-            ET.SubElement(structure, "InitialUnknown", valueReference=str(k))
-        return
-    lists = [ET.SubElement(structure, name) for name in ("Outputs", "InitialUnknowns")]
-    for k in outputs:
-        ET.SubElement(lists[0], "Unknown", index=str(k + 1), dependencies="")
-        ET.SubElement(lists[1], "Unknown", index=str(k + 1))
+            number = {"valueReference": str(k)} if version == 3 else {"index": str(k + 1)}
+            ET.SubElement(within, name if version == 3 else "Unknown", number | more)
 
 
 def _line(text: str) -> str:
@@ -246,28 +247,19 @@ def _text(root: ET.Element) -> bytes:
     return found + b"\n"
 
 
-@dataclass(frozen=True)
-class BaseUnit:
-    """A value v of a unit is factor · v + offset in these powers of base units."""
-
-    powers: Mapping[str, int]
-    factor: float
-    offset: float
-
-
-def base_unit(text: str) -> BaseUnit | None:
-    """Return a unit in base units, or None where it cannot be read.
+def base_unit(text: str) -> tuple[Mapping[str, int], float, float] | None:
+    """Return powers of base units, factor and offset: v of a unit is factor · v + offset; None where it is not known.
 
     A product has spaces, `*` or `·` between its factors; `/` divides by the next one; a number is a power.
 
     Example:
         >>> base_unit("mN m/s^2")
-        BaseUnit(powers={'kg': 1, 'm': 2, 's': -4}, factor=0.001, offset=0.0)
-        >>> base_unit("degC").offset, base_unit("degC/s").powers, base_unit("pieces")
-        (273.15, {'s': -1, 'K': 1}, None)
+        ({'kg': 1, 'm': 2, 's': -4}, 0.001, 0.0)
+        >>> base_unit("degC"), base_unit("degC/s"), base_unit("pieces")
+        (({'K': 1}, 1.0, 273.15), ({'s': -1, 'K': 1}, 1.0, 0.0), None)
     """
     if text in _CELSIUS:
-        return BaseUnit({"K": 1}, 1.0, 273.15)
+        return {"K": 1}, 1.0, 273.15
     powers, factor, place = dict[str, int](), 1.0, 0
     for part in _PART.finditer(text):
         found = _symbol(part[2])
@@ -280,7 +272,7 @@ def base_unit(text: str) -> BaseUnit | None:
             powers[name] = powers.get(name, 0) + power * count
     if not text or place != len(text):
         return None
-    return BaseUnit({name: powers[name] for name in _BASE if powers.get(name)}, factor, 0.0)
+    return {name: powers[name] for name in _BASE if powers.get(name)}, factor, 0.0
 
 
 def _symbol(text: str) -> tuple[float, Mapping[str, int]] | None:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import InvalidSpec
-from pwatrack.simulation.controller_arrays import memory, routine
+from pwatrack.simulation.controller_arrays import cell, memory, routine
 
 
 def plant_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
@@ -31,21 +31,15 @@ def plant_system(controller: ProvedController, name: str, units: Mapping[str, st
     C = np.array(list(names.values()))
 
     def rate(_: float, x: Array, u: Array, __: Any) -> Array:
-        i = _cell(plant.partition.signs, H @ x + h)
+        i = cell(plant.partition.signs, H @ x + h)
         return np.asarray(A[i] @ x + b[i] + B @ u[:m] + E @ u[m:])
 
-    def output(_: float, x: Array, __: Array, ___: Any) -> Array:
+    def output(_: float, x: Array, *__: Any) -> Array:
         return np.asarray(C @ x)
 
-    return _control().NonlinearIOSystem(
-        rate,
-        output,
-        name=name,
-        inputs=[*plant.inputs, *(() if loads is None else loads.names)],
-        outputs=list(names),
-        states=list(plant.states),
-        params=_known(units, start),
-    )
+    inputs = [*plant.inputs, *(() if loads is None else loads.names)]
+    labels = {"name": name, "inputs": inputs, "outputs": list(names), "states": list(plant.states)}
+    return _system(rate, output, units, start, **labels)
 
 
 def controller_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
@@ -72,13 +66,13 @@ def controller_system(controller: ProvedController, name: str, units: Mapping[st
 
     def wanted(t: float, z: Array) -> tuple[Array, Array, Array]:
         s = np.concatenate([z[n:], reference(float(t)), [1.0]])
-        j = _cell(trajectory.signs, guards @ s)
+        j = cell(trajectory.signs, guards @ s)
         desired = x_d[j] @ s
         return K @ (z[:n] - desired) + u_ff[j] @ s, desired, generator[j] @ s
 
     def rate(t: float, z: Array, y: Array, _: Any) -> Array:
         u, _, eta = wanted(t, z)
-        i = _cell(model.partition.signs, model.partition.H @ z[:n] + model.partition.h)
+        i = cell(model.partition.signs, model.partition.H @ z[:n] + model.partition.h)
         observed = A[i] @ z[:N] + L @ (C @ z[:N] - y)
         observed[:n] += model.b[i] + plant.B @ u
         return np.concatenate([observed, eta])
@@ -88,15 +82,10 @@ def controller_system(controller: ProvedController, name: str, units: Mapping[st
         return np.concatenate([u, z[:n], desired])
 
     hats = [f"{state}_hat" for state in plant.states]
-    return _control().NonlinearIOSystem(
-        rate,
-        output,
-        name=name,
-        inputs=list(plant.outputs),
-        outputs=[*plant.inputs, *hats, *(f"{state}_d" for state in plant.states)],
-        states=[*hats, *(f"s_hat_{k}" for k in range(N - n)), *(f"eta_hat_{k}" for k in range(p))],
-        params=_known(units, start),
-    )
+    outputs = [*plant.inputs, *hats, *(f"{state}_d" for state in plant.states)]
+    states = [*hats, *(f"s_hat_{k}" for k in range(N - n)), *(f"eta_hat_{k}" for k in range(p))]
+    labels = {"name": name, "inputs": list(plant.outputs), "outputs": outputs, "states": states}
+    return _system(rate, output, units, start, **labels)
 
 
 def loop_system(plant: Any, controller: Any, name: str) -> Any:
@@ -104,12 +93,17 @@ def loop_system(plant: Any, controller: Any, name: str) -> Any:
     control = _control()
     free = [label for label in plant.input_labels if label not in controller.output_labels]
     outputs = list(dict.fromkeys([*plant.output_labels, *controller.output_labels]))
-    params = _known(plant.params["units"], [*plant.params["start"], *controller.params["start"]])
+    params = plant.params | {"start": [*plant.params["start"], *controller.params["start"]]}
     return control.interconnect([plant, controller], inputs=free, outputs=outputs, name=name, params=params)
 
 
 def sampled_system(
-    program: SampledController, x_hat: ArrayLike, eta_hat: ArrayLike, real: Any, labels: Mapping[str, Any]
+    program: SampledController,
+    x_hat: ArrayLike,
+    eta_hat: ArrayLike,
+    real: Any,
+    units: Mapping[str, str],
+    **labels: Any,
 ) -> Any:
     """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
 
@@ -117,7 +111,7 @@ def sampled_system(
     program is in that state, and the system starts as `params["start"]` says.
 
     The program has its reference inside, or it is given: then that is an input too. `real` is the type of its floats;
-    `labels` are its `name`, `inputs` and `outputs`, and the `units` of these. Raises as `plant_system`.
+    `labels` are its `name`, `inputs` and `outputs`. Raises as `plant_system`.
     """
     table, q, at = routine(program, real), program.sizes["q"], program.places
     first = memory(program, x_hat, eta_hat, real)
@@ -132,7 +126,7 @@ def sampled_system(
             raise ValueError("the last entry of a state is 1, as in params['start']: change what is before it")
         kept = memory(program, x_hat, eta_hat, real)
         kept["memory"][:], kept["counts"][0] = z[:size], tuple(z[size:-1].astype(np.int64))
-        tick(table, kept["memory"], kept["counts"], kept["room"], v[:q].astype(real), v[q:].astype(real))
+        tick(table, **kept, y=v[:q].astype(real), given=v[q:].astype(real))
         return kept["memory"], kept["counts"][0].tolist()
 
     def after(_: float, z: Array, v: Array, __: Any) -> Array:
@@ -142,25 +136,11 @@ def sampled_system(
     def output(_: float, z: Array, v: Array, __: Any) -> Array:
         return np.asarray(ticked(z, v)[0][at["u"]], dtype=np.float64)
 
-    return _control().NonlinearIOSystem(
-        after,
-        output,
-        name=labels["name"],
-        inputs=labels["inputs"],
-        outputs=labels["outputs"],
-        states=len(start),
-        dt=program.sampling.sample_time,
-        params=_known(labels["units"], start.tolist()),
-    )
+    return _system(after, output, units, start.tolist(), states=len(start), dt=program.sampling.sample_time, **labels)
 
 
-def _cell(signs: IntArray, g: Array) -> int:
-    """Return the first cell whose signs the guards contradict least."""
-    return int(np.maximum(-signs * g, 0.0).max(axis=1, initial=0.0).argmin())
-
-
-def _known(units: Mapping[str, str], start: Sequence[float]) -> dict[str, Any]:
-    return {"units": dict(units), "start": list(start)}
+def _system(update: Any, output: Any, units: Mapping[str, str], start: Sequence[float], **labels: Any) -> Any:
+    return _control().NonlinearIOSystem(update, output, params={"units": dict(units), "start": list(start)}, **labels)
 
 
 def _control() -> Any:

@@ -123,13 +123,12 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
 def _constants(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> dict[str, tuple[Kind, NDArray[Any]]]:
     real = type(routine.half)
     finfo, known = np.finfo(real), {**routine._asdict(), **starts}
-    kinds: dict[str, Kind] = {"signs": "side", "sides": "side"}
     found = dict[str, tuple[Kind, NDArray[Any]]]()
     for name in _ORDER.split():
         values = known.get(name, np.zeros(0))
         there = np.isfinite(values) if name in _ENDLESS else values > 0 if name == "quantum" else True
         if values.size and np.any(there):
-            kind: Kind = "real" if values.dtype.kind == "f" else kinds.get(name, "whole")
+            kind: Kind = "real" if values.dtype.kind == "f" else "side" if name in ("signs", "sides") else "whole"
             found[_SHORT.get(name, name)] = (kind, np.where(there, values, 0))  # 0 where there is none
     found["largest"] = ("real", np.array(finfo.max))
     if "quantum" in found:

@@ -88,6 +88,13 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "end": follows.end,
         "early": follows.early.tolist(),
     }
+    ends = [ends if np.isfinite(ends).all() else None for ends in outside.set_range.tolist()]
+    given = {
+        "reference": list(outside.reference),
+        "pace": outside.pace.tolist(),
+        "range": ends if any(ends) else [],
+        "takes": next((claim.takes for claim in controller.claims_of(SetPoints)), []),
+    }
     return {
         "sample_time": inside.sampling.sample_time,
         "method": inside.sampling.method,
@@ -101,16 +108,8 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
         "inside": _lists(inside, *_FOLLOWED) | made,
-        "outside": _lists(outside, *_FOLLOWED)
-        | {"reference": list(outside.reference)}
-        | _set_points(controller, outside),
+        "outside": _lists(outside, *_FOLLOWED) | given,
     }
-
-
-def _set_points(controller: ProvedController, outside: SampledController) -> dict[str, Any]:
-    takes = next((claim.takes for claim in controller.claims_of(SetPoints)), [])
-    ends = [ends if np.isfinite(ends).all() else None for ends in outside.set_range.tolist()]
-    return {"pace": outside.pace.tolist(), "range": ends if any(ends) else [], "takes": takes}
 
 
 def read(path: Path) -> ControllerFile:
@@ -161,8 +160,8 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
     cells, n, m, q = map(len, (plant.cells, plant.states, plant.inputs, plant.outputs))
     planes, sides, guards = len(plant.h), len(followed.sides), len(followed.guards)
     N, p, s = len(known.L), len(known.trajectory.eta), len(part.outside.reference if given else part.inside.w0)
-    columns, corrects = N - n + p + s + 1, part.method == "corrected"
-
+    columns, corrects, outputs = N - n + p + s + 1, part.method == "corrected", len(part.outside.pace)
+    entries = max(4, len(part.outside.reference) // outputs) if outputs else 4  # of the pace of each
     if n > N or not (cells and sides):
         raise ValueError("L has fewer rows than there are states, or there is no cell")
 
@@ -197,7 +196,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         quantum=table("program.quantum", m),
         follows=None if given else _follows(part.inside, table("program.inside.turn", len(part.inside.turn), s, s)),
         reference=tuple(part.outside.reference) if given else (),
-        pace=table("program.outside.pace", *_pace_shape(part.outside)) if given else np.zeros((0, 4)),
+        pace=table("program.outside.pace", outputs, entries) if given else np.zeros((0, 4)),
         set_range=_range(part.outside) if given else np.zeros((0, 2)),
     )
     for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
@@ -208,11 +207,6 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
                 hint="use double floats; a shorter sample time makes smaller numbers",
             )
     return found
-
-
-def _pace_shape(outside: Outside) -> tuple[int, int]:
-    outputs = len(outside.pace)
-    return outputs, max(4, len(outside.reference) // outputs) if outputs else 4
 
 
 def _range(outside: Outside) -> Array:

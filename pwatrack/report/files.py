@@ -39,9 +39,9 @@ from pwatrack.report.page import page
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import PAGE, REFUSAL, SUMMARY, Plots, RunFolder, run_folder
-from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
+from pwatrack.simulation.layout import Actuator, RateLimit
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec

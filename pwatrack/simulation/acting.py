@@ -33,6 +33,7 @@ from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
 from pwatrack.simulation.closed_loop import drawn
+from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import along, desired_flow
 from pwatrack.simulation.enclosure import Segments, spans
 from pwatrack.simulation.flow import Flow, Mode
@@ -48,17 +49,10 @@ _ON_TICK = 1e-9  # of a substep: a break that is nearer before one is on it but 
 def acting(
     controller: ProvedController, conditions: Conditions, errors: SampledErrors, eta: Array, duration: float
 ) -> Acting | None:
-    """Return how large what acts gets up to a time (s), substep by substep; None where that is not known.
+    """Return how large what acts gets up to a time (s) of the program, substep by substep; None where not known.
 
     It is not for an η that is played back, where loads move x_d or oscillate, and for very many samples. Where inputs
-    are late it begins with x̂ = x = x_d as the first input comes. Time is that of the program.
-
-    Args:
-        controller: With the gains of `errors`.
-        conditions: Of the run: noise as it is drawn in it, steps, disturbances.
-        errors: Of the sampled loop.
-        eta: η̂(0), (p,).
-        duration: Of the run.
+    are late it begins with x̂ = x = x_d as the first input comes. The gains of the controller are those of `errors`.
     """
     gains, trajectory = errors.gains, controller.trajectory
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
@@ -106,8 +100,9 @@ def _outside(
         step = h / parts
         segments = along(disturbance, count * step, steps=count)
         at = np.clip(np.floor(segments.t / step + _ON_TICK).astype(np.int64), 0, count - 1)
-        squares = _by_substep(spans(segments, lambda _: rows).squares, at, count) / step
-        found |= {("disturbance", k): squares[:, k] for k in range(squares.shape[1])}
+        squares = np.zeros((count, len(rows)))
+        np.add.at(squares, at, spans(segments, lambda _: rows).squares)
+        found |= {("disturbance", k): square / step for k, square in enumerate(squares.T)}
     ticks = np.arange(count) // parts
     off = np.zeros((ticks[-1] + 1, len(controller.plant.C)))
     if conditions.noise is not None:
@@ -120,13 +115,6 @@ def _outside(
     early = ceil(errors.gains.jitter / 2 / (h / parts))
     around = scipy.ndimage.maximum_filter1d
     return {channel: around(each, 2 * early + 1, mode="nearest") for channel, each in found.items()}
-
-
-def _by_substep(squares: Array, at: IntArray, count: int) -> Array:
-    """Return sums over the segments of each substep, (count, q)."""
-    total = np.zeros((count, squares.shape[1]))
-    np.add.at(total, at, squares)
-    return total
 
 
 class _Walk:
@@ -177,11 +165,9 @@ class _Walk:
             away[:, k] = np.maximum(away[:, k], each)
         squares[:, p + q :] = (np.sqrt(squares[:, p + q :]) + (1 + self._late) * OVER_POWERS * away) ** 2
         most[:, :m][most[:, :m] <= _ROUNDING * self._largest[:m]] = 0.0
-        names: list[Channel] = [("nominal", k) for k in range(p)]
-        names += [("moved", k) for k in range(q)]
+        names: list[Channel] = [*(("nominal", k) for k in range(p)), *(("moved", k) for k in range(q))]
         names += [("disturbance", k) for k in range(self._n)]
-        forms: list[Form] = [("input", k) for k in range(m)]
-        forms += [(self._kind, k) for k in range(len(self._tracked))]
+        forms: list[Form] = [*(("input", k) for k in range(m)), *((self._kind, k) for k in range(len(self._tracked)))]
         return Acting(
             squares=dict(zip(names, squares.T, strict=True)),
             means=dict(zip(names[p : p + q], areas.T[p:], strict=True)),
@@ -296,14 +282,14 @@ def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array, Ar
     begins = sorted(starts)
     for early in follows.early:
         s = np.concatenate([eta, early, [1.0]])
-        cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
-        yield x_d[cell] @ s, np.zeros(u_ff.shape[1]), eta, early
-        eta = generator[cell] @ s
+        i = cell(runs.sides, guards @ s)
+        yield x_d[i] @ s, np.zeros(u_ff.shape[1]), eta, early
+        eta = generator[i] @ s
     while True:
         while begins and begins[0][0] <= tick:
             begin = begins.pop(0)
             w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
         s = np.concatenate([eta, w, [1.0]])
-        cell = int(np.argmax((runs.sides * np.sign(guards @ s) >= 0).all(axis=1)))
-        yield x_d[cell] @ s, u_ff[cell] @ s, eta, w
-        eta, w, tick = generator[cell] @ s, follows.turn[0] @ w if len(w) else w, tick + 1
+        i = cell(runs.sides, guards @ s)
+        yield x_d[i] @ s, u_ff[i] @ s, eta, w
+        eta, w, tick = generator[i] @ s, follows.turn[0] @ w if len(w) else w, tick + 1

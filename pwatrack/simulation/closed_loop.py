@@ -11,11 +11,12 @@ from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
-from pwatrack.simulation.actuator import Actuator, actuators, rate_limits
 from pwatrack.simulation.flow import Clock, Flow, Mode, SwitchedPart
-from pwatrack.simulation.layout import Layout
+from pwatrack.simulation.layout import Actuator, Layout, actuators, rate_limits
 from pwatrack.simulation.propagate import StateResets, pieces, sample_count
 from pwatrack.simulation.trace import Trace
+
+_GENERATOR = 2  # the part of the flow that has the cells of x_d
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,14 +68,11 @@ class ClosedLoop:
 
     def response(self, trace: Trace) -> "Response":
         """Read the signals of the loop off a trace of its flow."""
-        z, at = trace.z, self.at
-        cell = trace.modes[:, [part.name for part in self.flow.parts].index("generator")]
-        trajectory, limits = self.controller.trajectory, self.conditions.limits
-        x, x_d = z[:, at.x], _switched(self.x_d, cell, z)
-        loads = self.controller.plant.loads
-        running, designed = self.plant, self.controller.plant
-        tracked, tracked_d = x @ running.tracked.T, x_d @ designed.tracked.T
-        u = _switched(self.u, cell, z)
+        z, at, cell, conditions = trace.z, self.at, trace.modes[:, _GENERATOR], self.conditions
+        trajectory, limits = self.controller.trajectory, conditions.limits
+        running, designed, loads = self.plant, self.controller.plant, self.controller.plant.loads
+        x, x_d, u = z[:, at.x], _switched(self.x_d, cell, z), _switched(self.u, cell, z)
+        y, tracked, tracked_d = x @ running.C.T, x @ running.tracked.T, x_d @ designed.tracked.T
         return Response(
             trace=trace,
             x=x,
@@ -82,12 +80,12 @@ class ClosedLoop:
             x_d=x_d,
             eta=x @ trajectory.to_eta.T + trajectory.eta_offset,
             eta_hat=z[:, at.eta_hat],
-            y=x @ running.C.T,
+            y=y,
             y_d=x_d @ designed.C.T,
-            measured=self._measured(z),
+            measured=z[:, at.y] if conditions.sampling else y + z[:, at.v] if conditions.noise else y,
             tracked=tracked,
             tracked_d=tracked_d,
-            u=u if limits is None or self.conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
+            u=u if limits is None or conditions.sampling else np.clip(u, limits[:, 0], limits[:, 1]),
             u_ff=_switched(self.u_ff, cell, z),
             estimates=z[:, at.s_hat][:, loads.where] if loads else np.zeros((len(z), 0)),
             loads=z @ self.load_rows.T,
@@ -95,13 +93,6 @@ class ClosedLoop:
             state_sizes=self.controller.sizes.state,
             error_sizes=self.controller.error_sizes,
         )
-
-    def _measured(self, z: Array) -> Array:
-        """Return y as the controller has it: with its noise, and of a program in steps and held, (K, q)."""
-        if self.conditions.sampling:
-            return z[:, self.at.y]
-        y: Array = z[:, self.at.x] @ self.plant.C.T
-        return y + z[:, self.at.v] if self.conditions.noise else y
 
     @property
     def load_rows(self) -> Array:
@@ -138,13 +129,11 @@ class ClosedLoop:
 
     def inputs(self, mode: Mode) -> Array:
         """Return rows with u = rows z in a mode, within its limits, (m, N); what a program puts out it has limited."""
-        cell = [part.name for part in self.flow.parts].index("generator")
-        rows: Array = self.u[mode[cell]].copy()
-        for part, segment in zip(self.flow.parts, mode, strict=True):
-            level = part.levels[segment] if isinstance(part, Actuator) else None
-            if isinstance(part, Actuator) and level is not None and not self.conditions.sampling:
+        rows: Array = self.u[mode[_GENERATOR]].copy()
+        for part, segment in () if self.conditions.sampling else zip(self.flow.parts, mode, strict=True):
+            if isinstance(part, Actuator) and part.levels[segment] is not None:
                 rows[part.input] = 0.0
-                rows[part.input, -1] = level
+                rows[part.input, -1] = part.levels[segment]
         return rows
 
 
@@ -222,8 +211,8 @@ def closed_loop(
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
     guards = trajectory.guards @ reference + added.guards @ s_hat
     parts = [
-        SwitchedPart.of("plant", plant, x, _placed(_field(plant, x), at.x)),
-        SwitchedPart.of("observer", model.model, x_hat, _placed(_field(model.model, x_hat), at.x_hat)),
+        SwitchedPart.of("plant", plant, x, z[at.x].T @ _field(plant, x)),
+        SwitchedPart.of("observer", model.model, x_hat, z[at.x_hat].T @ _field(model.model, x_hat)),
         SwitchedPart(name="generator", cells=model.cell_names, guards=guards, signs=trajectory.signs, F=F),
     ]
     parts += _limits(conditions, switched + steady, parts[-1], model, at)
@@ -333,7 +322,6 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
     names = {"y": at.y, "u": at.u, "x_hat": at.x_hat, "s_hat": at.s_hat}
     names |= {} if corrects else {"eta_hat": at.eta_hat, "w": at.w_held}
     names |= {"late": at.late, "before": at.before, "wanted": at.wanted, "change": at.change}
-    eta = np.r_[at.eta_hat] if corrects else np.zeros(0, dtype=np.int64)
     pairs = [(program.places[name], where) for name, where in names.items() if where.stop > where.start]
     source, place = (np.r_[side] for side in zip(*pairs, strict=True))
     clock = Clock(
@@ -342,18 +330,9 @@ def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at:
         quantum=np.zeros(len(measured)) if conditions.quanta is None else conditions.quanta.outputs,
         source=source,
         place=place,
-        scale=np.ones(len(place)),
-        eta=eta,
-        eta_scale=np.ones(len(eta)),
+        eta=np.r_[at.eta_hat] if corrects else np.zeros(0, dtype=np.int64),
     )
     return Flow(F0=F0, parts=tuple(parts), clock=clock)
-
-
-def _placed(rates: Array, where: slice) -> Array:
-    """Return what adds such rates, (l, n, N), to what is at `where`, (l, N, N)."""
-    F = np.zeros((len(rates), rates.shape[2], rates.shape[2]))
-    F[:, where] = rates
-    return F
 
 
 def _switched(rows: Array, cell: IntArray, z: Array) -> Array:

@@ -99,9 +99,13 @@ def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:
     n = program.sizes["n"]
     for w in () if program.follows is None else program.follows.early:
         known = np.concatenate([x_hat[n:], eta_hat, w, [1.0]])
-        contradicted = np.maximum(-program.sides * (program.guards @ known), 0.0)
-        eta_hat = program.generator[contradicted.max(axis=1, initial=0.0).argmin()] @ known
+        eta_hat = program.generator[cell(program.sides, program.guards @ known)] @ known
     return eta_hat
+
+
+def cell(signs: IntArray, g: Array) -> int:
+    """Return the first cell whose signs the guards contradict least."""
+    return int(np.maximum(-signs * g, 0.0).max(axis=1, initial=0.0).argmin())
 
 
 _NOTHING: dict[str, Any] = dict.fromkeys(("C", "M", "H", "K"), np.zeros((0, 0)))

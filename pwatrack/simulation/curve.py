@@ -10,7 +10,7 @@ in either cell, and the residual is enclosed in both. No stay beyond a facet is 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
@@ -87,126 +87,117 @@ def joined(parts: Sequence[_Stretches]) -> _Stretches:
     return kind(**{name: values[order] for name, values in found.items()})
 
 
-@dataclass(frozen=True, kw_only=True)
-class InternalDynamics:
-    """η' = rate[i] (η, w, 1) in the cell i, the one on whose side of all guards (η, w, 1) is, and w' = S w."""
+def look(trajectory: DesiredTrajectory, curve: Pieces, w: Array, off: Array, *, sharp: bool) -> Looked:
+    """Return where x_d is in which cell, and how well η satisfies (15) there, if sharp enclosed closely.
 
-    rate: Array  # (l, p, p + s + 1)
-    guards: Array  # (G, p + s + 1)
-    signs: IntArray  # side of each guard that each cell is on, 0 where that does not bound it, (l, G)
-    S: Array  # (s, s)
-
-    def look(self, curve: Pieces, w: Array, off: Array, *, sharp: bool) -> Looked:
-        """Return where x_d is in which cell, and how well it satisfies its equation there, if sharp enclosed closely.
-
-        It is made of polynomials that are cut short, of w at their starts, and what that may be off by, (N, s). Refused
-        as undecided if there are too many crossings.
-        """
-        cells, p, columns = self.rate.shape
-        step = max(1, _AT_ONCE // ((_TAYLOR + 1) * (cells * p + len(self.guards) + columns)))
-        attained = np.zeros(p)
-        found = [
-            part
-            for first in range(0, len(curve.start), step)
-            for part in self._halved(curve, w, off, slice(first, first + step), attained, sharp=sharp)
-        ]
-        return joined(found)
-
-    def _halved(self, curve: Pieces, w: Array, off: Array, at: slice, attained: Array, *, sharp: bool) -> list[Looked]:
-        """Return stretches that need not be halved any more; what is attained is noted."""
-        start, length, of = curve.start[at], curve.length[at], np.arange(len(curve.start))[at]
-        b, slack = self._coefficients(length, curve.c[at], w[at], off[at])
-        found, depth, total = list[Looked](), 0, 0
-        shape, G = (-1, *self.rate.shape[:2]), len(self.guards)
-        while len(start):
-            guards, most = b[:, :G], np.abs(b).max(axis=2) + slack
-            low, high = guards.min(axis=2) - slack[:, :G], guards.max(axis=2) + slack[:, :G]
-            signs = self.signs
-            outside = ((signs > 0) & (high < 0)[:, None]) | ((signs < 0) & (low > 0)[:, None])
-            possible = ~outside.any(axis=2)
-            told = (low > 0) | (high < 0) | (most[:, :G] <= _GRAZING * slack[:, :G])
-            instant = length <= 4 * EPS * (start + length)
-            open_ = (possible.sum(axis=1) > 1) & ~told.all(axis=1) & ~instant
-            residual = np.where(possible[:, :, None], most[:, G:].reshape(shape), 0.0).max(axis=1)
-            ends = b[:, G:][:, :, [0, -1]].transpose(0, 2, 1).reshape(-1, 2, *shape[1:])
-            sure = possible.sum(axis=1) == 1
-            if sharp:
-                seen = np.abs(ends).max(axis=1) - slack[:, G:].reshape(shape)
-                seen = np.where((possible & sure[:, None])[:, :, None], seen, 0.0).max(axis=1)
-                np.maximum(attained, seen.max(axis=0, initial=0.0), out=attained)
-                noise = np.where(possible[:, :, None], slack[:, G:].reshape(shape), 0.0).max(axis=1)
-                dull = residual > np.maximum(_SHARP * attained, _GRAZING * noise)
-                open_ |= dull.any(axis=1) & (depth < _DEEP)
-            kept = ~open_
-            values = (start, length, of, possible, ends, residual)
-            found.append(Looked(**dict(zip(Looked.__annotations__, (v[kept] for v in values), strict=True))))
-            total += len(start)
-            if total > _MOST:
-                raise Undecided("x_d crosses facets too often to be followed")
-            half = length[open_] / 2
-            start = np.concatenate([start[open_], start[open_] + half])
-            length, of, depth = np.tile(half, 2), np.tile(of[open_], 2), depth + 1
-            slack = np.tile(slack[open_] + _TAYLOR * EPS * np.abs(b[open_]).max(axis=2, initial=0.0), (2, 1))
-            b = np.concatenate([b[open_] @ _LEFT.T, b[open_] @ _RIGHT.T])
-        return found
-
-    def _coefficients(self, h: Array, c: Array, w: Array, off: Array) -> tuple[Array, Array]:
-        """Return Bernstein coefficients of guards and residuals, (N, G + l p, degree + 1), and what they may be off by.
-
-        Both are sums of terms that are known order by order, in powers of time over length.
-        """
-        rate = self.rate.reshape(-1, self.rate.shape[2])
-        rows, p = np.vstack([self.guards, -rate]), c.shape[1]
-        G, size, turn = len(self.guards), np.abs(rows), np.abs(self.S)
-        powers, slack = np.zeros((len(h), len(rows), _TAYLOR + 1)), np.zeros((len(h), len(rows)))
-        most, wide = np.abs(w), off
-        of_w = slice(p, p + w.shape[1])
-        for k in range(2 * _TAYLOR):
-            if k <= _TAYLOR:
-                powers[:, :, k] = w @ rows[:, of_w].T
-                slack += (_UNIT * most + wide) @ size[:, of_w].T
-            else:  # the remainder: its terms fall faster than by halves from here on
-                slack += 2 * most @ size[:, of_w].T
-            scale = (h / (k + 1))[:, None]
-            w, most, wide = scale * (w @ self.S.T), scale * (most @ turn.T), scale * (wide @ turn.T)
-        powers[:, :, 0] += rows[:, -1]
-        slack += _UNIT * size[:, -1]
-        for k in range(c.shape[2]):
-            part = c[:, :, k] * h[:, None] ** k
-            powers[:, :, k] += part @ rows[:, :p].T
-            slack += _UNIT * np.abs(part) @ size[:, :p].T
-            if k:  # and those of η'
-                slope = np.tile(k * c[:, :, k] * h[:, None] ** (k - 1), (1, len(self.rate)))
-                powers[:, G:, k - 1] += slope
-                slack[:, G:] += _UNIT * np.abs(slope)
-        return powers @ _TO_BERNSTEIN.T, slack
+    It is made of polynomials that are cut short, of w at their starts, and what that may be off by, (N, s). Refused
+    as undecided if there are too many crossings.
+    """
+    cells, p, columns = trajectory.rate.shape
+    step = max(1, _AT_ONCE // ((_TAYLOR + 1) * (cells * p + len(trajectory.guards) + columns)))
+    attained = np.zeros(p)
+    found = [
+        part
+        for first in range(0, len(curve.start), step)
+        for part in _halved(trajectory, curve, w, off, slice(first, first + step), attained, sharp=sharp)
+    ]
+    return joined(found)
 
 
-class Interpolation:
-    """Polynomials through values at Chebyshev points, as powers of the time since the left end."""
+def _halved(
+    trajectory: DesiredTrajectory, curve: Pieces, w: Array, off: Array, at: slice, attained: Array, *, sharp: bool
+) -> list[Looked]:
+    """Return stretches that need not be halved any more; what is attained is noted."""
+    start, length, of = curve.start[at], curve.length[at], np.arange(len(curve.start))[at]
+    b, slack = _coefficients(trajectory, length, curve.c[at], w[at], off[at])
+    found, depth, total = list[Looked](), 0, 0
+    shape, G = (-1, *trajectory.rate.shape[:2]), len(trajectory.guards)
+    while len(start):
+        guards, most = b[:, :G], np.abs(b).max(axis=2) + slack
+        low, high = guards.min(axis=2) - slack[:, :G], guards.max(axis=2) + slack[:, :G]
+        signs = trajectory.signs
+        outside = ((signs > 0) & (high < 0)[:, None]) | ((signs < 0) & (low > 0)[:, None])
+        possible = ~outside.any(axis=2)
+        told = (low > 0) | (high < 0) | (most[:, :G] <= _GRAZING * slack[:, :G])
+        instant = length <= 4 * EPS * (start + length)
+        open_ = (possible.sum(axis=1) > 1) & ~told.all(axis=1) & ~instant
+        residual = np.where(possible[:, :, None], most[:, G:].reshape(shape), 0.0).max(axis=1)
+        ends = b[:, G:][:, :, [0, -1]].transpose(0, 2, 1).reshape(-1, 2, *shape[1:])
+        sure = possible.sum(axis=1) == 1
+        if sharp:
+            seen = np.abs(ends).max(axis=1) - slack[:, G:].reshape(shape)
+            seen = np.where((possible & sure[:, None])[:, :, None], seen, 0.0).max(axis=1)
+            np.maximum(attained, seen.max(axis=0, initial=0.0), out=attained)
+            noise = np.where(possible[:, :, None], slack[:, G:].reshape(shape), 0.0).max(axis=1)
+            dull = residual > np.maximum(_SHARP * attained, _GRAZING * noise)
+            open_ |= dull.any(axis=1) & (depth < _DEEP)
+        kept = ~open_
+        values = (start, length, of, possible, ends, residual)
+        found.append(Looked(**dict(zip(Looked.__annotations__, (v[kept] for v in values), strict=True))))
+        total += len(start)
+        if total > _MOST:
+            raise Undecided("x_d crosses facets too often to be followed")
+        half = length[open_] / 2
+        start = np.concatenate([start[open_], start[open_] + half])
+        length, of, depth = np.tile(half, 2), np.tile(of[open_], 2), depth + 1
+        slack = np.tile(slack[open_] + _TAYLOR * EPS * np.abs(b[open_]).max(axis=2, initial=0.0), (2, 1))
+        b = np.concatenate([b[open_] @ _LEFT.T, b[open_] @ _RIGHT.T])
+    return found
 
-    def __init__(self, degree: int) -> None:
-        unit = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
-        between = np.cos(np.pi * np.arange(degree + 2) / (degree + 1))
-        self.count, self.points = degree + 1, (1 + np.concatenate([unit, between])) / 2
-        self._series = np.linalg.inv(chebyshev.chebvander(unit, degree))  # from values to a Chebyshev series
-        self._others = chebyshev.chebvander(between, degree)
-        shifted = [Chebyshev.basis(k, domain=[0, 1]).convert(kind=Polynomial).coef for k in range(degree + 1)]
-        self._powers = np.array([np.pad(c, (0, degree + 1 - len(c))) for c in shifted]).T
 
-    def __call__(self, seen: Array, span: Array) -> tuple[Array, Array]:
-        """Return coefficients (N, p, degree + 1) for values (N, points, p), and by how much they miss others, (N,)."""
-        known, others = seen[:, : self.count], seen[:, self.count :]
-        off = np.abs(self._others @ (self._series @ known) - others).max(axis=(1, 2))
-        return self.through(known, span), np.asarray(off)
+def _coefficients(trajectory: DesiredTrajectory, h: Array, c: Array, w: Array, off: Array) -> tuple[Array, Array]:
+    """Return Bernstein coefficients of guards and residuals, (N, G + l p, degree + 1), and what they may be off by.
 
-    def through(self, known: Array, span: Array) -> Array:
-        """Return the coefficients of polynomials through values at the first points, (N, count, p)."""
-        powers = (self._powers @ (self._series @ known)).transpose(0, 2, 1)
-        return np.asarray(powers / span[:, None, None] ** np.arange(self.count))
+    Both are sums of terms that are known order by order, in powers of time over length.
+    """
+    S, rate = trajectory.exosystem.S, trajectory.rate.reshape(-1, trajectory.rate.shape[2])
+    rows, p = np.vstack([trajectory.guards, -rate]), c.shape[1]
+    G, size, turn = len(trajectory.guards), np.abs(rows), np.abs(S)
+    powers, slack = np.zeros((len(h), len(rows), _TAYLOR + 1)), np.zeros((len(h), len(rows)))
+    most, wide = np.abs(w), off
+    of_w = slice(p, p + w.shape[1])
+    for k in range(2 * _TAYLOR):
+        if k <= _TAYLOR:
+            powers[:, :, k] = w @ rows[:, of_w].T
+            slack += (_UNIT * most + wide) @ size[:, of_w].T
+        else:  # the remainder: its terms fall faster than by halves from here on
+            slack += 2 * most @ size[:, of_w].T
+        scale = (h / (k + 1))[:, None]
+        w, most, wide = scale * (w @ S.T), scale * (most @ turn.T), scale * (wide @ turn.T)
+    powers[:, :, 0] += rows[:, -1]
+    slack += _UNIT * size[:, -1]
+    for k in range(c.shape[2]):
+        part = c[:, :, k] * h[:, None] ** k
+        powers[:, :, k] += part @ rows[:, :p].T
+        slack += _UNIT * np.abs(part) @ size[:, :p].T
+        if k:  # and those of η'
+            slope = np.tile(k * c[:, :, k] * h[:, None] ** (k - 1), (1, len(trajectory.rate)))
+            powers[:, G:, k - 1] += slope
+            slack[:, G:] += _UNIT * np.abs(slope)
+    return powers @ _TO_BERNSTEIN.T, slack
 
 
-FIT = Interpolation(DEGREE)
+_NODES = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+_BETWEEN = np.cos(np.pi * np.arange(DEGREE + 2) / (DEGREE + 1))
+POINTS = (1 + np.concatenate([_NODES, _BETWEEN])) / 2  # Chebyshev points of [0, 1], and behind them some between them
+_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, DEGREE))  # from values to a Chebyshev series
+_OTHERS = chebyshev.chebvander(_BETWEEN, DEGREE)
+_SHIFTED = [Chebyshev.basis(k, domain=[0, 1]).convert(kind=Polynomial).coef for k in range(DEGREE + 1)]
+_POWERS = np.array([np.pad(c, (0, DEGREE + 1 - len(c))) for c in _SHIFTED]).T
+
+
+def fitted(seen: Array, span: Array) -> tuple[Array, Array]:
+    """Return polynomials through the first of the values at all points, (N, points, p), and what they miss of others.
+
+    Their coefficients are of powers of the time since the left end of spans (N,), (N, p, DEGREE + 1).
+    """
+    known, others = seen[:, : DEGREE + 1], seen[:, DEGREE + 1 :]
+    return _through(known, span), np.asarray(np.abs(_OTHERS @ (_SERIES @ known) - others).max(axis=(1, 2)))
+
+
+def _through(known: Array, span: Array) -> Array:
+    powers = (_POWERS @ (_SERIES @ known)).transpose(0, 2, 1)
+    return np.asarray(powers / span[:, None, None] ** np.arange(DEGREE + 1))
 
 
 def played(
@@ -217,18 +208,17 @@ def played(
     In which cells x_d is on them is looked for in one turn, and how well (15) is satisfied in the worst one.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
-    field = InternalDynamics(rate=trajectory.rate, guards=trajectory.guards, signs=trajectory.signs, S=system.S)
     start = np.concatenate([k * period + pieces.start for k in range(turns)])
     cut = pieces.cut(float(np.abs(system.rates).max(initial=0.0)))
-    w = states_at(system, cut.start)
+    w = system.states(cut.start.astype(np.longdouble))  # in extended precision, as all below
     off = np.zeros(w.shape)
     for k in range(turns):
         begin = (k * period + pieces.start)[cut.of] + (cut.start - pieces.start[cut.of]).astype(np.longdouble)
-        true = states_at(system, begin)
+        true = system.states(begin)
         phase = np.multiply.outer(np.abs(begin), np.abs(system.rates)) * np.finfo(np.longdouble).eps
         apart = np.abs(true - w) + EPS * np.abs(true) + phase * np.abs(true).max(initial=0.0)
         off = np.maximum(off, apart.astype(np.float64))
-    looked = field.look(cut, w.astype(np.float64), off, sharp=True)
+    looked = look(trajectory, cut, w.astype(np.float64), off, sharp=True)
     z = np.hstack([cut.c[:, :, 0], w.astype(np.float64), np.ones((len(cut.c), 1))])
     cells = looked.cells()[np.searchsorted(looked.start, cut.start)]
     return tuple(_signal(start, np.tile(pieces.c[:, k], (turns, 1))) for k in range(p)), NoncausalTrajectory(
@@ -242,11 +232,6 @@ def played(
     )
 
 
-def states_at(system: Exosystem, t: Array) -> Any:
-    """Return w at some times in s in extended precision, (K, s)."""
-    return system.states(np.asarray(t, dtype=np.longdouble))
-
-
 def _signal(starts: Array, c: Array) -> Signal:
     return Signal(tuple(starts.tolist()), tuple(ExponentialPolynomial.polynomial(row) for row in c))
 
@@ -258,7 +243,7 @@ def _left(
 
     It is a difference of large terms, so it is taken with more digits, at Chebyshev points.
     """
-    system, cells, interpolation = trajectory.exosystem, looked.cells(), FIT
+    system, cells = trajectory.exosystem, looked.cells()
     piece = cut.of[looked.of]
     long = looked.length > _INSTANT * pieces.length[piece]
     cells, piece, begin = cells[long], piece[long], looked.start[long]
@@ -270,8 +255,7 @@ def _left(
     half = (until - since) / 2  # where a polynomial of the next degree is nearly one of this
     since, piece, cells, half = (np.repeat(v, 2) for v in (since, piece, cells, half))
     since[1::2] += half[1::2]
-    points = interpolation.points[: interpolation.count]
-    tau = since[:, None].astype(np.longdouble) + half[:, None] * points
+    tau = since[:, None].astype(np.longdouble) + half[:, None] * POINTS[: DEGREE + 1]
     eta = slope = np.zeros((*tau.shape, pieces.c.shape[1]), dtype=np.longdouble)
     for c in pieces.c[piece].transpose(2, 0, 1)[::-1]:  # Horner's rule
         slope, eta = slope * tau[:, :, None] + eta, eta * tau[:, :, None] + c[:, None]
@@ -279,10 +263,10 @@ def _left(
     for k in range(turns):
         begin = k * period + pieces.start
         t = begin[piece, None] + tau
-        w = states_at(system, t.ravel()).reshape(*t.shape, -1)
+        w = system.states(t.ravel()).reshape(*t.shape, -1)
         z = np.concatenate([eta, w, np.ones((*t.shape, 1))], axis=2)
         rho = slope - np.einsum("nps,nts->ntp", trajectory.rate[cells], z)
-        found.append(interpolation.through(rho.astype(np.float64), half))
+        found.append(_through(rho.astype(np.float64), half))
         starts.append(begin[piece] + since)
     all_ = np.concatenate(found)
     return exosystem([_signal(np.concatenate(starts), all_[:, k]) for k in range(all_.shape[1])])

@@ -29,16 +29,12 @@ _GOLDEN = (5**0.5 - 1) / 2  # its multiples are in step with no signal
 
 def desired_flow(plant: PWASystem, trajectory: DesiredTrajectory) -> Flow:
     """Return the flow of (η̂, w, 1), with the cells of x_d."""
-    F0 = _of_w(trajectory)
+    p = trajectory.rate.shape[1]
+    F0 = block_diag(np.zeros((p, p)), trajectory.exosystem.S, np.zeros((1, 1)))
     F = np.zeros((len(plant.A), *F0.shape))
-    F[:, : trajectory.rate.shape[1]] = trajectory.rate
+    F[:, :p] = trajectory.rate
     part = SwitchedPart(name="x_d", cells=plant.cell_names, guards=trajectory.guards, signs=trajectory.signs, F=F)
     return Flow(F0=F0, parts=(part,))
-
-
-def _of_w(trajectory: DesiredTrajectory) -> Array:
-    p = trajectory.rate.shape[1]
-    return np.asarray(block_diag(np.zeros((p, p)), trajectory.exosystem.S, np.zeros((1, 1))))
 
 
 def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration: float) -> Iterator[Trace]:

@@ -195,7 +195,7 @@ def spans(block: Segments, rows: Rows) -> Spans:
     Sizes of Bernstein coefficients are those of a polynomial above |r z|, whose integral is their mean times the
     length; that of the square of the polynomial is known.
     """
-    found = list[tuple[IntArray, Array, Array, Array, Array]]()
+    found = list[tuple[IntArray | Array, ...]]()
     for number, mode in enumerate(block.modes):
         here = np.flatnonzero(block.number == number)
         if not len(here):
@@ -251,14 +251,14 @@ class Enclosing:
             halves = self._narrowed(table, pieces)
             if halves is not None:
                 queue += [(table, part) for part in _parts(table, halves)]
-        side, values, t = self._near_best()
+        side, values, t = map(np.concatenate, zip(*self._seen, strict=True))
         near = values >= self._least[side]
         self._seen = [(side[near], values[near], t[near])]
 
     def range(self) -> Range:
         """Return the bounds on all that was seen."""
         highs, times = np.maximum(self._high, self._best), np.zeros(len(self._best))
-        side, seen, when = self._near_best()
+        side, seen, when = map(np.concatenate, zip(*self._seen, strict=True))
         for k in range(len(times)):
             near = (side == k) & (seen >= self._least[k])
             order = np.argsort(when[near], kind="stable")
@@ -274,10 +274,6 @@ class Enclosing:
         inner[:, 0] *= -1
         return Range(low=-highs[q:], high=highs[:q], inner=inner, times=times)
 
-    def _near_best(self) -> tuple[IntArray, Array, Array]:
-        side, values, t = (np.concatenate(part) for part in zip(*self._seen, strict=True))
-        return side, values, t
-
     @property
     def _least(self) -> Array:
         """What is as good as the best, (sides,)."""
@@ -288,12 +284,6 @@ class Enclosing:
         if self._norm:
             return np.asarray(np.linalg.norm(values, axis=-1, keepdims=True))
         return np.concatenate([values, -values], axis=-1)
-
-    def _spread(self, off: Array) -> Array:
-        """Return by how much that can rise where the values change by at most so much."""
-        if self._norm:
-            return np.asarray(np.linalg.norm(off, axis=-1, keepdims=True))
-        return np.concatenate([off, off], axis=-1)
 
     def _attain(self, values: Array, t: Array) -> None:
         """Take note of values (P, sides) that are attained at times (P,) or (P, sides), or as good as that."""
@@ -319,7 +309,7 @@ class Enclosing:
         with np.errstate(over="ignore", invalid="ignore"):
             powers, off = table.polynomials(zeta, length, int(levels.max()))
             control = np.tensordot(_BERNSTEIN[len(powers) - 1], powers, 1)  # (degree + 1, P, q)
-            upper = self._sides(control).max(axis=0) + self._spread(off)
+            upper = self._sides(control).max(axis=0) + np.abs(self._sides(off))
             upper = np.where(np.isnan(upper), np.inf, upper)
             above = self._above(table, upper, zeta)
             if above.any():
@@ -335,8 +325,8 @@ class Enclosing:
         """Return which pieces may be above the best by more than they need be, (P,)."""
         above = np.asarray((upper > self._best + CLOSE * self._size).any(axis=1))
         if above.any():  # not by noise alone
-            noise = _NOISE * self._spread(table.u * np.abs(zeta[above]) @ table.bounds(0)[:, : table.rows.shape[1]])
-            above[above] = (upper[above] > self._best + noise).any(axis=1)
+            noise = table.u * np.abs(zeta[above]) @ table.bounds(0)[:, : table.rows.shape[1]]
+            above[above] = (upper[above] > self._best + _NOISE * np.abs(self._sides(noise))).any(axis=1)
         return above
 
     def _tops(self, powers: Array, off: Array, t: Array, length: Array) -> None:
@@ -351,7 +341,7 @@ class Enclosing:
             values = np.zeros_like(off)
             for coefficient in powers[::-1]:
                 values = values * tau + coefficient
-            sides = self._sides(values) - self._spread(off)
+            sides = self._sides(values) - np.abs(self._sides(off))
             sides[np.isnan(sides)] = -np.inf
             if (sides.max(axis=0) >= self._least).any():
                 at = tau[:, :1] if self._norm else np.hstack([tau, tau])

@@ -6,6 +6,7 @@ wanted when the whole run is known, so the blocks are gone through twice.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -61,26 +62,9 @@ class Figures:
         return " at the samples" if {*names} & {*self.sampled} else ""
 
     @staticmethod
-    def of(
-        response: Response,
-        loop: ClosedLoop | None = None,
-        *,
-        outputs: Sequence[str],
-        inputs: Sequence[str],
-        bands: Mapping[str, float],
-        states: Sequence[str] = (),
-        limited: Mapping[str, Form] | None = None,
-    ) -> "Figures":
+    def of(response: Response, loop: ClosedLoop | None = None, **measured: Any) -> "Figures":
         """Return the figures of a run that is all in memory; see `Measuring`."""
-        measuring = Measuring(
-            len(response.t),
-            outputs=outputs,
-            inputs=inputs,
-            bands=bands,
-            states=states,
-            limited=limited or {},
-            loop=loop,
-        )
+        measuring = Measuring(len(response.t), **measured, loop=loop)
         measuring.see(response)
         return measuring.figures([response])
 

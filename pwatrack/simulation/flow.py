@@ -29,7 +29,7 @@ class SwitchedPart:
         return SwitchedPart(name=name, cells=plant.cell_names, guards=guards, signs=plant.partition.signs, F=F)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Clock:
     """At every multiple of its sample time a program measures, and some of its numbers become entries of z."""
 
@@ -38,14 +38,7 @@ class Clock:
     quantum: Array  # what that is a whole multiple of; 0 for any value, (q,)
     source: IntArray  # which numbers of the program's memory are in z, (V,)
     place: IntArray  # and where
-    scale: Array  # in z they are so many times as large
     eta: IntArray  # where its η̂ begins in z, if that goes on there by itself, (0 or p,)
-    eta_scale: Array  # likewise
-
-    def scaled(self, d: Array) -> "Clock":
-        """Return the clock of D⁻¹ z, D = diag(d)."""
-        scale, eta_scale = self.scale / d[self.place], self.eta_scale / d[self.eta]
-        return replace(self, measured=self.measured * d, scale=scale, eta_scale=eta_scale)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +80,11 @@ class Flow:
         return np.concatenate([part.signs[cell] for part, cell in zip(self.parts, mode, strict=True)])
 
     def scaled(self, d: Array) -> "Flow":
-        """Return the flow of D⁻¹ z, D = diag(d); exact for powers of two."""
-        return Flow(
+        """Return the flow of D⁻¹ z, D = diag(d), with the clock of z; exact for powers of two."""
+        return replace(
+            self,
             F0=self.F0 / d[:, None] * d,
             parts=tuple(replace(p, guards=p.guards * d, F=p.F / d[:, None] * d) for p in self.parts),
-            clock=None if self.clock is None else self.clock.scaled(d),
             counted=None if self.counted is None else self.counted / d[:, None] * d,
         )
 

@@ -1,32 +1,28 @@
 """The compiled walk along a trajectory, from event to event, with no ODE solver.
 
-Inside a mode ż = F z. The finest step is so short that a few Taylor terms, most often
-16, are e^{F h} to rounding in every entry; each mode has as many as it needs. Longer
-steps, up to the sample time, come from it by doubling.
+Inside a mode ż = F z. The finest step is so short that a few Taylor terms, most often 16, are e^{F h} to rounding in
+every entry; each mode has as many as it needs. Longer steps, up to the sample time, come from it by doubling.
 
-A step of length h is taken at once if no guard g can reach 0 on it. A guard differs
-from the chord between its ends by at most h²/8 sup |g F² e^{Fσ}| |z|, which is bounded
-once per mode and step length; where that does not settle it, with v = F z, a = F v,
+A step of length h is taken at once if no guard g can reach 0 on it. A guard differs from the chord between its ends by
+at most h²/8 sup |g F² e^{Fσ}| |z|, which is bounded once per mode and step length; where that does not settle it, with
+v = F z, a = F v,
 
     g z(τ) ≥ g z − ∫|g e^{Fσ}|dσ |v|,   g z(τ) ≥ min(g z, g z + h g v) − ∫(h − σ)|g e^{Fσ}|dσ |a|,
 
-and the integrals are bounded like that too. All these bounds hold for the numbers as they are
-rounded: what g z, v, a, g v and the state at the end of the step can be off by is added to them.
-If even the finest
-step may meet a guard, the guard is a Taylor polynomial in τ ∈ [0, 1] there. Its
-Bernstein coefficients enclose it, and those of its derivative tell where it is
-monotone, so a crossing is isolated, excluded, or reported as within rounding of
-the guard (Farouki, The Bernstein polynomial basis: a centennial retrospective,
-CAGD 29, 2012).
+and the integrals are bounded like that too. All these bounds hold for the numbers as they are rounded: what g z, v, a,
+g v and the state at the end of the step can be off by is added to them. If even the finest step may meet a guard, the
+guard is a Taylor polynomial in τ ∈ [0, 1] there. Its Bernstein coefficients enclose it, and those of its derivative
+tell where it is monotone, so a crossing is isolated, excluded, or reported as within rounding of the guard (Farouki,
+The Bernstein polynomial basis: a centennial retrospective, CAGD 29, 2012).
 
-Time is in finest steps here. All compiled functions live in this one file: the
-cache of compiled code is renewed when the file of a function changes, but not
-when that of a function it calls does.
+Time is in finest steps here. All compiled functions live in this one file: the cache of compiled code is renewed when
+the file of a function changes, but not when that of a function it calls does.
 """
 
 import math
 from collections import namedtuple
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
@@ -62,10 +58,7 @@ def jitted(function: Callable[_P, _R], **options: Any) -> Callable[_P, _R]:
 
 
 def _forget_unreadable(cache: Any) -> None:
-    """Forget what an earlier version left on disk, if that names types that are not here any more.
-
-    Numba reads it before it sees that it is of another file, and an error in that would end the program.
-    """
+    """Forget what an earlier version left on disk, if that names types that are gone: Numba's reading it would fail."""
     try:
         cache._cache_file._load_index()
     except (AttributeError, ImportError):
@@ -78,30 +71,16 @@ def _forget_unreadable(cache: Any) -> None:
 _FUSED = {"contract"}  # a b + c may be rounded once
 
 
-def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    return jitted(function, fastmath=_FUSED)
-
-
-def _as_written(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Compile a part of the controller's program: every operation is rounded once, in the order that is written."""
-    return jitted(function, fastmath=False)  # said, or Numba takes that of whoever calls it
-
-
-def _uncounted(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Compile the walk, which allocates nothing.
-
-    Counting references to the arrays of `Workspace` took twice as long as the steps themselves.
-    """
-    return jitted(function, fastmath=_FUSED, _nrt=False)
-
-
-def _inlined(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Put a part of the walk where it is called, before anything is compiled.
-
-    Compiled on its own, each part was compiled again within each that calls it: with what only Python or C calls each
-    by, that was half of the time to compile. Handing over the arrays of `Workspace` took a third of that of the steps.
-    """
-    return jitted(function, fastmath=_FUSED, _nrt=False, inline="always")
+_compiled = partial(jitted, fastmath=_FUSED)
+# A part of the controller's program: every operation is rounded once, in the order that is written. It is said that it
+# is not fused, or Numba takes that of whoever calls it.
+_as_written = partial(jitted, fastmath=False)
+# The walk allocates nothing: counting references to the arrays of `Workspace` took twice as long as the steps do.
+_uncounted = partial(jitted, fastmath=_FUSED, _nrt=False)
+# A part of the walk is put where it is called, before anything is compiled. Compiled on its own, each was compiled
+# again within each that calls it: with what only Python or C calls each by, that was half of the time to compile.
+# Handing over the arrays of `Workspace` took a third of that of the steps.
+_inlined = partial(_uncounted, inline="always")
 
 
 class FlowTables(NamedTuple):
@@ -302,21 +281,15 @@ def leading(power: Array, tolerance: float) -> int:
 
 @_compiled
 def first_crossing(power: Array, tolerance: float, pieces: Array) -> tuple[float, float, float]:
-    """Return where the polynomial Σ power_j τʲ first becomes negative on [0, 1).
+    """Return where the polynomial Σ power_j τʲ of degree n first becomes negative on [0, 1), and two places more.
 
-    Leading coefficients within the tolerance count as 0: the trajectory starts on the guard, and the first
-    coefficient beyond decides which side it goes to. The tolerance must cover the rounding of the coefficients and
-    of what is done with them: see `_to_bernstein` and `_halve`.
+    All are infinity where there is none. They are: the first crossing; before it, the first place where the polynomial
+    comes within the tolerance of 0, may or may not be negative, and then is positive again; and the place from which
+    on it stays within the tolerance up to τ = 1, without being 0 all the time.
 
-    Args:
-        power: Power coefficients, (n + 1,).
-        tolerance: Values of smaller size are indistinguishable from 0.
-        pieces: Room to work, (32, n + 3) or more.
-
-    Returns:
-        Three places, each infinity if there is none: the first crossing; before it, the first place where the
-        polynomial comes within the tolerance of 0, may or may not be negative, and then is positive again; and the
-        place from which on it stays within the tolerance up to τ = 1, without being 0 all the time.
+    Leading coefficients within the tolerance count as 0: the trajectory starts on the guard, and the first coefficient
+    beyond decides which side it goes to. The tolerance must cover the rounding of the coefficients and of what is done
+    with them: see `_to_bernstein` and `_halve`. Pieces are worked on in an array of (32, n + 3) or more.
 
     Example:
         >>> room = np.empty((32, 18))
@@ -540,20 +513,13 @@ def _arrive(terms: Array, degree: int, tau: float, z: Array) -> None:
 def _sides(F: Array, degree: int, guards: Array, at: KernelState, before: IntArray, room: Workspace) -> None:
     """Write on which side of each guard the trajectory goes on, 0 where rounding hides it, and when that is sure.
 
-    A guard at 0 counts by its first derivative that is not 0: the field is
-    continuous, so that derivative is the same on both sides. Where what comes before it is not 0 but within the
-    tolerance, term j decides only after (2 tolerance / |term j|)^(1/j) finest steps: `vague` is that time, else 0.
-    It is 0, too, if where another guard is crossed all terms say that this one goes on leaving to the side it was on
-    `before`.
+    A guard at 0 counts by its first derivative that is not 0: the field is continuous, so that derivative is the same
+    on both sides. Where what comes before it is not 0 but within the tolerance, term j decides only after
+    (2 tolerance / |term j|)^(1/j) finest steps: `vague` is that time, else 0. It is 0, too, if where another guard is
+    crossed all terms say that this one goes on leaving to the side it was on `before`.
     """
-    crossed, tolerance, terms, seen, sides, vague = (
-        at.crossed,
-        room.tolerance,
-        room.terms,
-        room.now,
-        room.sides,
-        room.vague,
-    )
+    crossed, tolerance, terms, seen = at.crossed, room.tolerance, room.terms, room.now
+    sides, vague = room.sides, room.vague
     open_, elsewhere = len(sides), False
     for k in range(len(sides)):
         sides[k], vague[k] = 0, 0.0
@@ -591,8 +557,8 @@ def _sides(F: Array, degree: int, guards: Array, at: KernelState, before: IntArr
 def fit(first: IntArray, signs: IntArray, sides: IntArray, cells: IntArray) -> bool:
     """Write the cells that lie on the given sides of the guards, and say whether they are other ones.
 
-    0 fits either side. The present cell of a part is kept if it fits. If
-    rounding leaves no cell that fits, the one with the fewest contradictions is taken.
+    0 fits either side. The present cell of a part is kept if it fits. If rounding leaves no cell that fits, the one
+    with the fewest contradictions is taken.
     """
     changed = False
     for p in range(len(cells)):
@@ -626,14 +592,7 @@ def _apart(sides: IntArray, now: Array, then: Array, margin: Array) -> bool:
 
 @_compiled
 def rounded_product(F: Array, z: Array, doubt: Array, unit: float, result: Array, doubt_after: Array) -> None:
-    """Write M z, for M given as its transpose, and by how much that can be off.
-
-    Args:
-        F, z: What is multiplied.
-        doubt: By how much z can be off.
-        unit: What a product can be off by, of the sum of the sizes of its terms.
-        result, doubt_after: What is written.
-    """
+    """Write M z, for M given as its transpose F, and by how much that can be off as z can be, by `doubt`."""
     _apply(F, z, result)
     for i in range(len(result)):
         doubt_after[i] = 0.0
@@ -647,15 +606,10 @@ def rounded_product(F: Array, z: Array, doubt: Array, unit: float, result: Array
 def stays_clear(
     sides: IntArray, now: Array, slope: Array, first: Array, speed: Array, second: Array, bend: Array, length: int
 ) -> bool:
-    """Say, more carefully, that no guard that bounds the mode can reach 0 on a step.
+    """Say, more carefully, that no guard that bounds the mode can reach 0 on a step of so many finest ones.
 
-    Args:
-        sides: On which side the mode is of each guard, (K,).
-        now: The guards, drawn in towards 0 by what they can be off by, (K,).
-        slope: The least and the largest that their slopes can be, (2, K).
-        first, second: Bounds on the two integrals, (N, K).
-        speed, bend: Bounds on |v| and |a|, (N,).
-        length: Of the step, in finest steps.
+    The guards `now` are drawn in towards 0 by what they can be off by, (K,); their slopes are the least and the largest
+    that they can be, (2, K). `first` and `second` are bounds on the two integrals, `speed` and `bend` on |v| and |a|.
     """
     for k in range(len(now)):
         side = sides[k]
@@ -677,9 +631,8 @@ def stays_clear(
 
 
 @_inlined
-def _note(state: Any, log: Log, since: float, guard: int, span: float) -> None:
+def _note(s: Any, log: Log, since: float, guard: int, span: float) -> None:
     """Write down that for a while from a time on nobody can say on which side of a guard the trajectory is."""
-    s = state[0]
     log.near_time[s.nears], log.near_guard[s.nears], log.near_span[s.nears] = since, guard, span
     s.nears += 1
 
@@ -758,7 +711,7 @@ def _settle(field: FlowTables, modes: ModeTables, known: int, at: KernelState, l
         if modes.sides[m, i] == 0:
             at.near_since[i] = np.inf
         elif matters(room.vague[i], t, field):
-            _note(at.state, log, t, i, room.vague[i] * field.h)
+            _note(s, log, t, i, room.vague[i] * field.h)
     _sample(field, at, log)
     _break(field, at, log)
     _enter(field, at, log)
@@ -767,13 +720,7 @@ def _settle(field: FlowTables, modes: ModeTables, known: int, at: KernelState, l
 
 @_inlined
 def _stride(field: FlowTables, modes: ModeTables, free: int, at: KernelState, room: Workspace) -> bool:
-    """Take the longest step on the grid that meets neither guard nor reset, and say whether there is one.
-
-    Args:
-        field, modes, at: As for `walk`.
-        free: Whole finest steps until something happens that is known beforehand.
-        room: To work in.
-    """
+    """Take the longest step on the grid, of `free` finest ones, that meets no guard, and say whether there is one."""
     s, m, z = at.state[0], at.state[0].m, at.z
     for i in range(len(z)):
         room.size[i] = abs(z[i])
@@ -835,7 +782,7 @@ def _cross(field: FlowTables, modes: ModeTables, length: float, at: KernelState,
     tau, guard = _first_of_all(field, modes, length, at, log, room)
     for i in range(len(at.crossed)):
         if room.touched[i] < tau:
-            _note(at.state, log, (s.k + s.done + room.touched[i] * length) * field.h, i, 0.0)
+            _note(s, log, (s.k + s.done + room.touched[i] * length) * field.h, i, 0.0)
         if room.near[i] < tau and at.near_since[i] == np.inf:
             at.near_since[i] = (s.k + s.done + room.near[i] * length) * field.h
     _arrive(room.terms, modes.degree[m], min(tau, 1.0), z)
@@ -888,7 +835,7 @@ def _first_of_all(
         if at.near_since[i] < np.inf and (away or leading(power, room.tolerance[i]) <= degree):
             span = (s.k + s.done) - at.near_since[i] / field.h
             if crossing > 0.0 or matters(span, at.near_since[i], field):
-                _note(at.state, log, at.near_since[i], i, span * field.h)
+                _note(s, log, at.near_since[i], i, span * field.h)
             at.near_since[i] = np.inf
         if crossing < tau:
             tau, guard = crossing, i
@@ -1328,18 +1275,11 @@ def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given
 
 @_as_written
 def tick(routine: ControllerArrays, memory: Array, counts: Any, room: Array, y: Array, given: Array) -> int:
-    """Run the controller once, as docs/arithmetic.md says.
+    """Run the controller once, as docs/arithmetic.md says; what it remembers is of `controller_arrays.memory`.
 
-    Args:
-        routine: The program.
-        memory: Its numbers, part by part as `Program.places` says. Changed unless the result is REFUSED.
-        counts: What it counts, and the cells of x̂ and x_d, see `routine.COUNTS`, likewise; and room for the next ones.
-        room: To work in, see `routine.memory`.
-        y: What was measured, (q,).
-        given: w from outside, (s,), where it is from there, or set-points that it is made of, (outputs,).
-
-    Returns:
-        RAN, ENDED (the reference has ended, and w stays as it is) or REFUSED (a number is not finite; nothing changes).
+    y was measured, (q,); `given` is w from outside, (s,), where it is from there, or set-points that it is made of,
+    (outputs,). Returns RAN, ENDED (the reference has ended, and w stays as it is) or REFUSED (a number is not finite;
+    nothing changes).
     """
     old, new = counts[0], counts[1]
     for k in range(len(memory)):
@@ -1402,14 +1342,8 @@ def walk(
 ) -> int:
     """Walk on from where the state says until the last sample that the log has room for, and say why it stops.
 
-    Args:
-        field, modes, resets, ticks: What is given; `known` modes are filled in.
-        at: The trajectory; `at.cells` is left as the mode that must be filled in first.
-        log: What is written down.
-        room: To work in, see `room_for`.
-
-    Returns:
-        DONE, NEW_MODE, FULL (no room for events), STUCK or SPENT (no steps are left).
+    That is DONE, NEW_MODE (`at.cells` must be filled in first, beside the `known` ones), FULL (no room for events),
+    STUCK or SPENT (no steps are left).
     """
     s, K = at.state[0], len(at.crossed)
     end = (s.base + len(log.z) - 1) << field.doublings

@@ -16,7 +16,7 @@ from pwatrack.errors import CheckFailed, InvalidSpec, ProblemPart
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
-from pwatrack.simulation.flow import Flow
+from pwatrack.simulation.flow import Clock, Flow
 from pwatrack.simulation.tables import Tables, unit
 from pwatrack.simulation.trace import Breaks, Event, Trace, Unresolved
 
@@ -130,7 +130,17 @@ class Propagator:
             unit=unit(len(self.d)),
         )
         self.modes = Tables(flow, self.field.h, doublings)
-        self.ticks = _ticks(flow)
+        nowhere = np.zeros(0, dtype=np.int64)
+        never = Clock(NONE, np.zeros((0, len(self.d))), np.zeros(0), nowhere, nowhere, nowhere)
+        self.clock = clock = flow.clock or never
+        self.ticks = kernel.ControllerClock(
+            routine=routine(clock.program),
+            measured=np.ascontiguousarray((clock.measured * self.d).T),
+            quantum=clock.quantum.copy(),
+            source=clock.source,
+            place=clock.place,
+            scale=1 / self.d[clock.place],
+        )
 
     def walk(self, z0: Array, resets: Sequence[StateResets] = ()) -> "Walk":
         """Return the trajectory from z0 (N,), or refuse it as `simulate_flow` does."""
@@ -176,7 +186,7 @@ class Walk:
             near_since=self.near_since,
             crossed=np.zeros(len(places), dtype=np.bool_),
             cells=starts.copy(),
-            **_controller(flow, self.z),
+            **_controller(propagator.clock, self.z * d),
         )
         self.log = kernel.Log(
             z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
@@ -347,34 +357,14 @@ def tick_times(sampling: Sampling, end: float) -> Array:
     return np.asarray(np.minimum(sampling.sample_time * np.arange(count) + away, end))
 
 
-def _ticks(flow: Flow) -> Any:
-    """Return how the program of a clock sits in the loop; one that never runs where there is none."""
-    from pwatrack.simulation.kernel import ControllerClock
-
-    clock, none, nowhere = flow.clock, np.zeros(0), np.zeros(0, dtype=np.int64)
-    if clock is None:
-        return ControllerClock(routine(NONE), np.zeros((len(flow.F0), 0)), none, nowhere, nowhere, none)
-    return ControllerClock(
-        routine=routine(clock.program),
-        measured=np.ascontiguousarray(clock.measured.T),
-        quantum=clock.quantum.copy(),
-        source=clock.source,
-        place=clock.place,
-        scale=clock.scale,
-    )
-
-
-def _controller(flow: Flow, z: Array) -> dict[str, Any]:
+def _controller(clock: Clock, z: Array) -> dict[str, Any]:
     """Return what the program of a clock starts with, which is in z, and room for it to work in."""
-    clock = flow.clock
-    program = NONE if clock is None else clock.program
-    x_hat, eta_hat = (np.zeros(program.sizes[name]) for name in ("N", "p"))
-    if clock is not None:
-        started = np.zeros(program.places["x_d"].stop)
-        started[clock.source] = z[clock.place] / clock.scale
-        x_hat = started[program.places["x_hat"].start : program.places["s_hat"].stop]
-        eta_hat = z[clock.eta] / clock.eta_scale if program.sampling.corrects else started[program.places["eta_hat"]]
-    return {**memory(program, x_hat, eta_hat), "y": np.zeros(program.sizes["q"])}
+    places = clock.program.places
+    started = np.zeros(places["x_d"].stop)
+    started[clock.source] = z[clock.place]
+    x_hat = started[places["x_hat"].start : places["s_hat"].stop]
+    eta_hat = z[clock.eta] if clock.program.sampling.corrects else started[places["eta_hat"]]
+    return {**memory(clock.program, x_hat, eta_hat), "y": np.zeros(clock.program.sizes["q"])}
 
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:

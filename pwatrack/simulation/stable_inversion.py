@@ -27,7 +27,7 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.model.reference import Exosystem, beside, exosystem, spectral_terms
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import DEGREE, FIT, InternalDynamics, Looked, Pieces, joined, played, states_at
+from pwatrack.simulation.curve import DEGREE, POINTS, Looked, Pieces, fitted, joined, look, played
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -198,15 +198,15 @@ class _Problem:
         self.d = balancing(trajectory.rate[:, :, :p])
         self.rate = trajectory.rate / self.d[:, None]
         self.rate[:, :, :p] *= self.d
-        self.guards = trajectory.guards.copy()
-        self.guards[:, :p] *= self.d
-        self.signs, self.end, self.periodic, self.p = trajectory.signs, end, periodic, p
+        guards = trajectory.guards.copy()
+        guards[:, :p] *= self.d
+        self.balanced = replace(trajectory, rate=self.rate, guards=guards)
+        self.end, self.periodic, self.p = end, periodic, p
         self.turns = ReferenceTransition(system)
         breaks = dict.fromkeys([start, 0.0, *(reset.t for reset in system.resets)])
         self.breaks = [t for t in breaks if start <= t < end]
-        starts = states_at(system, np.array(self.breaks)).astype(np.float64)
+        starts = system.states(np.array(self.breaks, dtype=np.longdouble)).astype(np.float64)
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
-        self.field = InternalDynamics(rate=self.rate, guards=self.guards, signs=self.signs, S=system.S)
         self.quick = float(np.abs(system.rates).max(initial=0.0))
         poles = np.linalg.eigvals(self.rate[:, :, :p])
         self.fastest, self.settled = float(np.abs(poles).max()), _SETTLED / float(np.abs(poles.real).min())
@@ -325,7 +325,7 @@ class _Solution:
         w = np.zeros((len(piece), len(problem.turns.S) - 1))
         for k in range(len(problem.pieces)):
             w[piece == k] = problem.w(k, cut.start[piece == k])[:, :-1]
-        looked = replace(problem.field, rate=self.rate).look(cut, w, 4 * EPS * np.abs(w), sharp=False)
+        looked = look(replace(problem.balanced, rate=self.rate), cut, w, 4 * EPS * np.abs(w), sharp=False)
         return cut, replace(looked, of=pieces.of[cut.of[looked.of]])
 
     @property
@@ -381,19 +381,19 @@ class _Solution:
         What is stable is known at the left ends of halves and what is not at the right ones, so that nothing grows.
         """
         stay, end, problem = self.stays[k], self._ends[k], self.problem
-        modes, span, points = self._modes[stay.cell], stay.end - stay.start, FIT.points
+        modes, span = self._modes[stay.cell], stay.end - stay.start
         q, start, length = modes.stable, np.array([stay.start]), span
         s, u, before, found = end[None, :q], end[None, q:], np.full(1, np.inf), list[Pieces]()
         resolved = _RESOLVED / max(problem.fastest, problem.turning)
         if span <= resolved * _SHORT:  # of which a difference of values has no slope
             return [Pieces(start=start, length=np.array([span]), c=self._taylor(k)[None], of=np.array([k]))]
         while len(start):
-            E, E_w = modes.forward(length * np.append(points, 0.5))
-            G, G_w = modes.backward(length * np.append(1 - points, 0.5))
+            E, E_w = modes.forward(length * np.append(POINTS, 0.5))
+            G, G_w = modes.backward(length * np.append(1 - POINTS, 0.5))
             w, w_end = problem.w(stay.piece, start), problem.w(stay.piece, start + length)
             stable = np.einsum("tij,nj->nti", E, s) + np.einsum("tij,nj->nti", E_w, w)
             other = np.einsum("tij,nj->nti", G, u) + np.einsum("tij,nj->nti", G_w, w_end)
-            c, off = FIT(np.concatenate([stable, other], axis=2)[:, :-1] @ modes.V.T, np.full(len(start), length))
+            c, off = fitted(np.concatenate([stable, other], axis=2)[:, :-1] @ modes.V.T, np.full(len(start), length))
             missed = off / size if size else np.zeros(len(start))  # nothing drives it: it is 0
             noise = (missed < _NOISE) & (missed > before / 8)  # halving would take it to 1/1000
             open_ = (missed > FITTED) & ~noise & (length > resolved)

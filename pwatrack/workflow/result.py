@@ -9,9 +9,9 @@ import numpy as np
 from pwatrack.arrays import Array, amount
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import ProvedController
-from pwatrack.simulation.actuator import Actuator
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.layout import Actuator
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, TraceOnDisk, Unresolved

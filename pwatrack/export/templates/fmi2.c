@@ -3,21 +3,6 @@
 
 #include <stddef.h>
 
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORT __attribute__((visibility("default")))
-#else
-#define EXPORT
-#endif
-#ifdef FMI2_FUNCTION_PREFIX
-#define JOINED(a, b) a##b
-#define PREFIXED(a, b) JOINED(a, b)
-#define FUNCTION(name) PREFIXED(FMI2_FUNCTION_PREFIX, name)
-#else
-#define FUNCTION(name) name
-#endif
-
 typedef void *fmi2Component;
 typedef unsigned int fmi2ValueReference;
 typedef double fmi2Real;
@@ -56,29 +41,11 @@ static fmi2Status answer(const instance *of, int status, const char *said)
     return (fmi2Status)status;
 }
 
-/* Of a call that must have an instance: NULL, or why it fails. */
-#define ANSWER(said) ((c == NULL) ? fmi2Error : answer((const instance *)c, fmi2Error, (said)))
-#define STATE (&((instance *)c)->s)
-#define REFUSED(name, arguments, needless)                                                                             \
-    EXPORT fmi2Status FUNCTION(name) arguments                                                                         \
-    {                                                                                                                  \
-        return ANSWER((needless) ? NULL : #name ": there is nothing of this kind");                                    \
-    }
+@calls@
 
 EXPORT const char *FUNCTION(fmi2GetTypesPlatform)(void)
 {
     return "default";
-}
-
-EXPORT const char *FUNCTION(fmi2GetVersion)(void)
-{
-    return "2.0";
-}
-
-EXPORT fmi2Status FUNCTION(fmi2SetDebugLogging)(fmi2Component c, fmi2Boolean on, size_t count,
-                                                const fmi2String categories[])
-{
-    return ANSWER(NULL); /* what goes wrong is always said, and nothing else */
 }
 
 EXPORT fmi2Component FUNCTION(fmi2Instantiate)(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
@@ -130,24 +97,6 @@ EXPORT fmi2Status FUNCTION(fmi2EnterInitializationMode)(fmi2Component c)
     return ANSWER(enter(STATE, MADE, INITIALIZING));
 }
 
-EXPORT fmi2Status FUNCTION(fmi2ExitInitializationMode)(fmi2Component c)
-{
-    return ANSWER(enter(STATE, INITIALIZING, STEPPING));
-}
-
-EXPORT fmi2Status FUNCTION(fmi2Terminate)(fmi2Component c)
-{
-    return ANSWER(enter(STATE, STEPPING, TERMINATED));
-}
-
-EXPORT fmi2Status FUNCTION(fmi2Reset)(fmi2Component c)
-{
-    if (c != NULL) {
-        set_up(STATE);
-    }
-    return ANSWER(NULL);
-}
-
 EXPORT fmi2Status FUNCTION(fmi2GetReal)(fmi2Component c, const fmi2ValueReference vr[], size_t count, fmi2Real value[])
 {
     return ANSWER(get_reals(STATE, vr, count, value));
@@ -174,44 +123,6 @@ REFUSED(fmi2SetBoolean, (fmi2Component c, const fmi2ValueReference vr[], size_t 
         count == 0u)
 REFUSED(fmi2SetString, (fmi2Component c, const fmi2ValueReference vr[], size_t count, const fmi2String value[]),
         count == 0u)
-
-EXPORT fmi2Status FUNCTION(fmi2GetFMUstate)(fmi2Component c, fmi2FMUstate *state)
-{
-    return ANSWER(copied(STATE, state));
-}
-
-EXPORT fmi2Status FUNCTION(fmi2SetFMUstate)(fmi2Component c, fmi2FMUstate state)
-{
-    void *here = c; /* its state comes first */
-
-    return ANSWER(copied((const snapshot *)state, &here));
-}
-
-EXPORT fmi2Status FUNCTION(fmi2FreeFMUstate)(fmi2Component c, fmi2FMUstate *state)
-{
-    if (state != NULL) {
-        free(*state);
-        *state = NULL;
-    }
-    return ANSWER(NULL);
-}
-
-EXPORT fmi2Status FUNCTION(fmi2SerializedFMUstateSize)(fmi2Component c, fmi2FMUstate state, size_t *size)
-{
-    *size = STORED_BYTES;
-    return ANSWER(NULL);
-}
-
-EXPORT fmi2Status FUNCTION(fmi2SerializeFMUstate)(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
-{
-    return ANSWER(stored((const snapshot *)state, (unsigned char *)bytes, size));
-}
-
-EXPORT fmi2Status FUNCTION(fmi2DeSerializeFMUstate)(fmi2Component c, const fmi2Byte bytes[], size_t size,
-                                                    fmi2FMUstate *state)
-{
-    return ANSWER(restored((const unsigned char *)bytes, size, state));
-}
 
 REFUSED(fmi2GetDirectionalDerivative,
         (fmi2Component c, const fmi2ValueReference unknown[], size_t unknowns, const fmi2ValueReference known[],

@@ -5,21 +5,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#elif defined(__GNUC__)
-#define EXPORT __attribute__((visibility("default")))
-#else
-#define EXPORT
-#endif
-#ifdef FMI3_FUNCTION_PREFIX
-#define JOINED(a, b) a##b
-#define PREFIXED(a, b) JOINED(a, b)
-#define FUNCTION(name) PREFIXED(FMI3_FUNCTION_PREFIX, name)
-#else
-#define FUNCTION(name) name
-#endif
-
 typedef void *fmi3Instance;
 typedef void *fmi3InstanceEnvironment;
 typedef void *fmi3FMUState;
@@ -77,29 +62,12 @@ static fmi3Status answer(const instance *of, int status, const char *said)
     return (fmi3Status)status;
 }
 
-/* Of a call that must have an instance: NULL, or why it fails. */
-#define ANSWER(said) ((c == NULL) ? fmi3Error : answer((const instance *)c, fmi3Error, (said)))
-#define STATE (&((instance *)c)->s)
-#define REFUSED(name, arguments, needless)                                                                             \
-    EXPORT fmi3Status FUNCTION(name) arguments                                                                         \
-    {                                                                                                                  \
-        return ANSWER((needless) ? NULL : #name ": there is nothing of this kind");                                    \
-    }
+@calls@
+
 #define REFS fmi3Instance c, const fmi3ValueReference vr[], size_t count
 #define NO_VALUES(type)                                                                                                \
     REFUSED(fmi3Get##type, (REFS, fmi3##type values[], size_t size), count == 0u)                                      \
     REFUSED(fmi3Set##type, (REFS, const fmi3##type values[], size_t size), count == 0u)
-
-EXPORT const char *FUNCTION(fmi3GetVersion)(void)
-{
-    return "3.0";
-}
-
-EXPORT fmi3Status FUNCTION(fmi3SetDebugLogging)(fmi3Instance c, fmi3Boolean on, size_t count,
-                                                const fmi3String categories[])
-{
-    return ANSWER(NULL); /* what goes wrong is always said, and nothing else */
-}
 
 EXPORT fmi3Instance FUNCTION(fmi3InstantiateCoSimulation)(
     fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
@@ -151,24 +119,6 @@ EXPORT fmi3Status FUNCTION(fmi3EnterInitializationMode)(fmi3Instance c, fmi3Bool
     const char *said = (c == NULL) ? NULL : start_at(STATE, start);
 
     return ANSWER((said != NULL) ? said : enter(STATE, MADE, INITIALIZING));
-}
-
-EXPORT fmi3Status FUNCTION(fmi3ExitInitializationMode)(fmi3Instance c)
-{
-    return ANSWER(enter(STATE, INITIALIZING, STEPPING));
-}
-
-EXPORT fmi3Status FUNCTION(fmi3Terminate)(fmi3Instance c)
-{
-    return ANSWER(enter(STATE, STEPPING, TERMINATED));
-}
-
-EXPORT fmi3Status FUNCTION(fmi3Reset)(fmi3Instance c)
-{
-    if (c != NULL) {
-        set_up(STATE);
-    }
-    return ANSWER(NULL);
 }
 
 REFUSED(fmi3EnterEventMode, (fmi3Instance c), 0)
@@ -248,44 +198,6 @@ REFUSED(fmi3GetNominalsOfContinuousStates, (fmi3Instance c, fmi3Float64 nominals
 REFUSED(fmi3GetNumberOfEventIndicators, (fmi3Instance c, size_t *count), 0)
 REFUSED(fmi3GetNumberOfContinuousStates, (fmi3Instance c, size_t *count), 0)
 REFUSED(fmi3ActivateModelPartition, (fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time), 0)
-
-EXPORT fmi3Status FUNCTION(fmi3GetFMUState)(fmi3Instance c, fmi3FMUState *state)
-{
-    return ANSWER(copied(STATE, state));
-}
-
-EXPORT fmi3Status FUNCTION(fmi3SetFMUState)(fmi3Instance c, fmi3FMUState state)
-{
-    void *here = c; /* its state comes first */
-
-    return ANSWER(copied((const snapshot *)state, &here));
-}
-
-EXPORT fmi3Status FUNCTION(fmi3FreeFMUState)(fmi3Instance c, fmi3FMUState *state)
-{
-    if (state != NULL) {
-        free(*state);
-        *state = NULL;
-    }
-    return ANSWER(NULL);
-}
-
-EXPORT fmi3Status FUNCTION(fmi3SerializedFMUStateSize)(fmi3Instance c, fmi3FMUState state, size_t *size)
-{
-    *size = STORED_BYTES;
-    return ANSWER(NULL);
-}
-
-EXPORT fmi3Status FUNCTION(fmi3SerializeFMUState)(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
-{
-    return ANSWER(stored((const snapshot *)state, bytes, size));
-}
-
-EXPORT fmi3Status FUNCTION(fmi3DeserializeFMUState)(fmi3Instance c, const fmi3Byte bytes[], size_t size,
-                                                    fmi3FMUState *state)
-{
-    return ANSWER(restored(bytes, size, state));
-}
 
 EXPORT fmi3Status FUNCTION(fmi3DoStep)(fmi3Instance c, fmi3Float64 from, fmi3Float64 length, fmi3Boolean no_way_back,
                                        fmi3Boolean *event, fmi3Boolean *terminate, fmi3Boolean *early,
