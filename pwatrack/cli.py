@@ -152,7 +152,7 @@ def design(
     outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    chosen: dict[str, Any] = {"fronts": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
+    chosen: dict[str, Any] = {"paretos": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
     _run(spec_path, out, parameters, solver, simulated=False, outside=outside, **chosen)
 
 

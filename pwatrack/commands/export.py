@@ -22,10 +22,9 @@ from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
-from pwatrack.report.files import missed
 from pwatrack.report.kept_spec import load, spec_of
-from pwatrack.report.required import required
 from pwatrack.report.run_folder import json_text, read_index
+from pwatrack.report.screen import Findings
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
@@ -127,9 +126,8 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
     found = _simulated(spec, controller, None, given, steps)
     if not spec.requirements:
         return found
-    result = pipeline.simulate(spec, controller)
-    failed = missed(required(spec, controller, result), result)
-    told = found.file.model_dump() | {"failed": failed}
+    came = Findings(spec=spec, controller=controller, result=pipeline.simulate(spec, controller))
+    told = found.file.model_dump() | {"failed": came.missed}
     return replace(found, file=parsed(told | {"sha256": digest(told)}, spec.path))
 
 
