@@ -14,7 +14,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline, variation
-from pwatrack.workflow.result import SimulatedLoop as Simulated
+from pwatrack.workflow.outcome import SimulatedLoop as Simulated
 from pwatrack.workflow.variation import EnsembleResult, Over
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pwatrack.batch.work import Done, Ended, Job
+from pwatrack.batch.work import Ended, Job
 from pwatrack.errors import InvalidSpec, Place
 from pwatrack.report.annotation import JobFault
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
@@ -44,15 +44,14 @@ def inputs(job: Job) -> tuple[str, tuple[str, ...]]:
     return key(job, files), tuple(map(str, files))
 
 
-def remember(job: Job, out: Path, done: Done) -> None:
+def remember(job: Job, out: Path, ended: Ended) -> None:
     """Write the record of a run, if it left a folder that is still there. Where that is impossible, it runs again."""
-    ended = done.ended
     if not ended.index:
         return
     with suppress(OSError, InvalidSpec):
         stamps = {name: (job.out / name).stat().st_mtime_ns for name in ended.index["files"]}
-        content: dict[str, Any] = {"format": _FORMAT, "key": done.key, "inputs": done.inputs}
-        content |= {"index": _digest(job.out / INDEX), "stamps": stamps, "seconds": done.seconds}
+        content: dict[str, Any] = {"format": _FORMAT, "key": ended.key, "inputs": ended.inputs}
+        content |= {"index": _digest(job.out / INDEX), "stamps": stamps, "seconds": ended.seconds}
         content |= {"exit": ended.exit, "expected": ended.expected, "messages": ended.messages}
         content |= {"faults": [asdict(fault) for fault in ended.faults]}
         with written_at_once(_place(job, out)) as temporary:

@@ -26,23 +26,16 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How the run of a job ended: its exit code, and the one that the spec expects."""
+    """How the run of a job ended by itself: its exit code, the one that the spec expects, and how long it took."""
 
     exit: int
     expected: int = 0
     messages: str = ""  # what the command line would say on stderr
     faults: tuple[JobFault, ...] = ()  # the same, one by one
     index: Mapping[str, Any] = field(default_factory=dict)  # its run.json; empty if it left none
-
-
-@dataclass(frozen=True, kw_only=True)
-class Done:
-    """A job that has ended by itself, and how long it took."""
-
-    ended: Ended
-    key: str  # a digest of all that it depended on when it began
-    inputs: tuple[str, ...]  # the files that the spec refers to
-    seconds: float
+    key: str = ""  # a digest of all that it depended on when it began
+    inputs: tuple[str, ...] = ()  # the files that the spec refers to
+    seconds: float = 0.0
     left: Left | None = None  # what it left, if that is not in its folder yet
 
 

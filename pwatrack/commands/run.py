@@ -31,7 +31,7 @@ from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
 from pwatrack.workflow.how_far import HowFar, LargestBox, how_far, largest_box
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult, ensemble
 
 Shown = Literal["summary", "more", "json", "nothing"]

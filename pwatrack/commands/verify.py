@@ -31,9 +31,7 @@ from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.headroom import room_within_limits
-from pwatrack.workflow.pipeline import asked_of
-from pwatrack.workflow.set_points import demand_of
+from pwatrack.workflow.pipeline import asked
 from pwatrack.workflow.simplified import merged_spec
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import desired_trajectory
@@ -115,9 +113,7 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),
         sizes=spec_sizes(spec),
     )
-    taken = demand_of(spec, trajectory, generator, content)
-    room = room_within_limits(spec, trajectory, generator, controller.sizes, taken)
-    return read(content, controller, asked_of(spec, room, controller, taken))
+    return read(content, controller, asked(spec, controller, content))
 
 
 def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:

@@ -9,7 +9,7 @@ from pwatrack.interruption import as_ended
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pwatrack.workflow.result import SimulatedLoop
+    from pwatrack.workflow.outcome import SimulatedLoop
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first

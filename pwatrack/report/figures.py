@@ -17,7 +17,7 @@ from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.requirement import RANGES
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 

@@ -47,7 +47,7 @@ from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.version import versions
 from pwatrack.workflow.how_far import HowFar
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 Effort = Mapping[str, Mapping[str, float]]  # what a run took: `seconds` by step, programs `answered` by solver

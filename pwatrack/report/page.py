@@ -13,7 +13,7 @@ from pwatrack.report.kept_spec import spec_text
 from pwatrack.report.run_folder import SUMMARY, json_text
 from pwatrack.report.screen import joined
 from pwatrack.report.stays import Stay, stays
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _FIRST = ("outputs", "tracking_error", "input", "ensemble")  # of the pictures; then by name
 _WIDTH, _LEAST = 1000, 0.5  # dots of a row of bars, and of a bar

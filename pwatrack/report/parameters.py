@@ -13,7 +13,7 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
 from pwatrack.workflow.bands import covered
 from pwatrack.workflow.how_far import HowFar, LargestBox, Proved
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 
 def _since(result: SimulatedLoop) -> tuple[int, float]:

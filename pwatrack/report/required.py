@@ -14,7 +14,7 @@ from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.margins import margin_figures
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _NO_REST = "the reference does not come to rest before the last tenth of the run, or the output starts there"

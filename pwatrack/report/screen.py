@@ -32,7 +32,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import covered, tube_bounds
 from pwatrack.workflow.cautions import Assessment, assessed
 from pwatrack.workflow.how_far import LargestBox
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 LINES, COLUMNS = 10, 80  # of the first screen

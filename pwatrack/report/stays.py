@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _MOST_ROWS = 40  # of cells of a part
 _LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again

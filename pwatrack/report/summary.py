@@ -28,7 +28,7 @@ from pwatrack.report.parameters import largest_text, run_rows
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.screen import Findings
 from pwatrack.report.terminal import titled
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _SIGNALS = 6  # that are printed of all that are tracked

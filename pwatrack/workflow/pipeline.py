@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -32,10 +33,8 @@ from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_m
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
-from pwatrack.workflow.headroom import room_of_signals, room_within_limits
-from pwatrack.workflow.outcome import RunMonitor
-from pwatrack.workflow.result import SimulatedLoop
-from pwatrack.workflow.set_points import demand_of
+from pwatrack.workflow.headroom import demand_of, room_of_signals, room_within_limits
+from pwatrack.workflow.outcome import RunMonitor, SimulatedLoop
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.starting import generator_start, initial_values, plant_start
@@ -73,7 +72,7 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
         little = not_worth(spec, practical)
         if spec.objectives.practical or not little:
             less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
-            return proved(found, asked_of(less, *_rooms(less, found)))
+            return proved(found, asked(less, found))
         remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
     elif not spec.objectives.practical:
         raise refusal
@@ -168,10 +167,12 @@ def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint 
     return room.within(sizes) if within == "limits" else None
 
 
-def _rooms(spec: Spec, controller: ProvedController) -> tuple[Headroom | None, ProvedController, Demand | None]:
+def asked(spec: Spec, controller: ProvedController, content: Any = None) -> Asked:
+    """Return what a spec asks to be proved of a controller; what set-points take, as a certificate tells it."""
     trajectory, generator = controller.trajectory, controller.generator
-    taken = demand_of(spec, trajectory, generator)
-    return room_within_limits(spec, trajectory, generator, controller.sizes, taken), controller, taken
+    taken = demand_of(spec, trajectory, generator, content)
+    room = room_within_limits(spec, trajectory, generator, controller.sizes, taken)
+    return asked_of(spec, room, controller, taken)
 
 
 def sampling_known(spec: Spec) -> tuple[str, ...]:
@@ -300,7 +301,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
 def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:
     """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
     with spec.located(), asking(spec.objectives.solver):
-        return proved(replace(controller, claims=()), asked_of(spec, *_rooms(spec, controller)))
+        return proved(replace(controller, claims=()), asked(spec, controller))
 
 
 def check_plant(spec: Spec, designed: PWASystem) -> None:

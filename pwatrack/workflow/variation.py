@@ -23,8 +23,7 @@ from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.steady_state import measured_start
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.spec import Measured, Spec
-from pwatrack.workflow.outcome import Outcome, RunMonitor
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import Outcome, RunMonitor, SimulatedLoop
 from pwatrack.workflow.tracking import start_fixed, start_given_twice
 
 Over = Literal["initial", "parameters", "noise", "plane"]

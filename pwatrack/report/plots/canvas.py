@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 from pwatrack.arrays import Array
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 # Dark solid and light dashed: told apart without colour too.
 ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}

@@ -14,7 +14,7 @@ from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.figures import percent
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
 from pwatrack.report.stays import stays
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _HAIR = 0.5  # points: a stay that is shorter than a dot is seen all the same
 

@@ -11,7 +11,7 @@ from pwatrack.arrays import Array, number_text
 from pwatrack.report.figures import error_unit, states_unit
 from pwatrack.report.plots.canvas import ACTUAL, BOUND, REQUIRED, ROUNDING, band, canvas, label, legend, limits, plain
 from pwatrack.simulation.trace import last_tenth
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _Kind = Literal["output", "state", "estimate"]  # of what errors are: see `Form`
 _MOST = 8  # panels of single errors

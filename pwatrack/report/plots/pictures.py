@@ -9,7 +9,7 @@ from pwatrack.report.plots.cells import active_cells, portrait
 from pwatrack.report.plots.elements import nonlinearities
 from pwatrack.report.plots.errors import observer_error, tracking_error
 from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 
 def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:

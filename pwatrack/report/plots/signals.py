@@ -25,7 +25,7 @@ from pwatrack.report.plots.canvas import (
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.spec.requirement import RANGES
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _MOST = 12  # states in a picture
 _BESIDE = 4  # signals that have their start beside the whole: more panels take long to draw
