@@ -254,7 +254,7 @@ class Pool(Executor):
         worker.said.clear()
         if fine:
             task.future.set_result(answer)
-        elif isinstance(answer, OutOfMemory):
+        elif isinstance(answer, MemoryError):
             worker.reason = str(answer)  # it is replaced: who knows what it still holds
             worker.process.kill()
             task.future.set_exception(Lost(str(answer), seconds=time.monotonic() - worker.begun))
@@ -291,10 +291,6 @@ def _hear(worker: _Worker) -> None:
         while said := os.read(worker.errors.fileno(), _SAID):
             worker.said += said
             del worker.said[:-_SAID]
-
-
-class OutOfMemory(Exception):
-    """A task wanted more memory than it may have."""
 
 
 def serve(tasks: Connection, errors: Connection, memory: float | None, preload: Sequence[str]) -> None:
@@ -340,7 +336,7 @@ def _done(content: bytes, memory: float | None) -> tuple[Any, bool]:
             return function(*positional, **named), True
         except MemoryError:
             said = "out of memory" if memory is None else f"out of memory: it may take {memory:g} MB"
-            return OutOfMemory(said), False
+            return MemoryError(said), False
         except Exception as error:
             return error, False
 

@@ -73,22 +73,17 @@ def _meant(line: str, first: int, message: str) -> tuple[int, int]:
     return min(max(first, 0), len(line)), 1
 
 
-def annotation(text: str, *, title: str, file: str, line: int | None = None, column: int | None = None) -> str:
-    r"""Return a workflow command of GitHub: it stands beside the line of a file.
+def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], str] = str) -> str:
+    r"""Return a workflow command of GitHub: it stands beside the line of a file. `said` is what a terminal may have.
 
     Example:
-        >>> annotation("a\nb", title="no: 1", file="a,b.yaml", line=3, column=1)
+        >>> fault = JobFault(message="a\nb", code="1", place=Place(file="", line=3, column=1))
+        >>> annotated(fault, title="no:", file="a,b.yaml")
         '::error file=a%2Cb.yaml,line=3,col=1,title=no%3A 1::a%0Ab'
     """
-    place = "" if line is None else f",line={line},col={column}"
-    file, title = file.translate(_PROPERTY), title.translate(_PROPERTY)
-    return f"::error file={file}{place},title={title}::{text.translate(_MESSAGE)}"
-
-
-def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], str] = str) -> str:
-    """Return a workflow command for a fault; `said` makes its text one that a terminal may have."""
-    line, column = (fault.place.line, fault.place.column) if fault.place else (None, None)
-    return annotation(said(fault.text), title=f"{title} {fault.code}".rstrip(), file=file, line=line, column=column)
+    place = f",line={fault.place.line},col={fault.place.column}" if fault.place else ""
+    file, title = file.translate(_PROPERTY), f"{title} {fault.code}".rstrip().translate(_PROPERTY)
+    return f"::error file={file}{place},title={title}::{said(fault.text).translate(_MESSAGE)}"
 
 
 def annotations(error: PwatrackError) -> list[str]:

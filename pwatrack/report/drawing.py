@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 from pwatrack.interruption import as_ended
@@ -25,15 +26,13 @@ class Picture(NamedTuple):
 def prepare(executor: Executor) -> None:
     """Let the processes that will draw begin, and import what that takes."""
     for _ in _SHARES:
-        executor.submit(_ready)
+        executor.submit(import_module, "pwatrack.report.plots.pictures")
 
 
 def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], dict[str, Picture]]:
-    """Begin to draw the pictures of a run, and return what waits for them, by name.
+    """Begin to draw the pictures of a run in other processes, and return what waits for them, by name.
 
-    Args:
-        result: What is drawn. One that is partly on disk is not sent elsewhere.
-        executor: Who draws, in other processes; where they fail, and without one, it is done here.
+    Where these fail, without them, and of a run that is partly on disk, it is done here.
     """
     if executor is None or result.spool is not None:
         return lambda: drawn(slice(None), result)
@@ -60,7 +59,3 @@ def picture(figure: "Figure") -> Picture:
     from pwatrack.report.plots.canvas import png, svg
 
     return Picture(png(figure), svg(figure))
-
-
-def _ready() -> None:
-    import pwatrack.report.plots.pictures  # noqa: F401

@@ -4,6 +4,7 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,11 @@ from pwatrack.report.drawing import Picture, begin, picture
 from pwatrack.report.figures import (
     design_remarks,
     ensemble_measures,
-    error_unit,
     figure_content,
     load_content,
-    margin_content,
     measures,
     member_figures,
-    size_content,
+    norm_unit,
 )
 from pwatrack.report.kept_spec import keep
 from pwatrack.report.page import page
@@ -42,6 +41,7 @@ from pwatrack.report.screen import Findings, first_rows
 from pwatrack.simulation.actuator import Actuator, RateLimit
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
+from pwatrack.simulation.margins import Margins
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
@@ -94,21 +94,17 @@ def write(
     plots: Plots = "all",
     executor: Executor | None = None,
 ) -> Path:
-    """Write all files of a design, and those of its run and ensemble; return the folder.
+    """Write all files of a design, and those of its run and ensemble; return the folder, which is made.
+
+    An earlier run in it is replaced, other files stay; raises InvalidSpec, with nothing changed, if that cannot be.
 
     Args:
-        found: What came out.
-        folder: Made if it does not exist; an earlier run in it is replaced, other files stay.
-        fronts: What `pareto` returned for controller and observer, for pareto.csv and pareto.png.
-        broken: Why a simulation of it broke off, if it did.
-        effort: What it took, for run.json; what is proved while files are written is counted too.
-        warned: Whether run.json has the warnings and margins of `workflow.cautions`.
-        summary: What `report.summary` says of it, for summary.txt.
-        plots: Whether pictures and the page are made, or only if the run does not end as its spec expects.
-        executor: Who draws them, but for ensemble.png, in other processes while tables are written.
-
-    Raises:
-        InvalidSpec: If the folder cannot be written; nothing is changed then.
+        found, fronts: What came out, and what `pareto` returned for controller and observer.
+        broken: Why a simulation broke off, if it did.
+        effort, warned: What it took, and whether warnings and margins are told, too: for run.json.
+        summary: For summary.txt.
+        plots, executor: Whether pictures and the page are made, or only if the run does not end as its spec expects;
+            who draws them, but for ensemble.png, in other processes while tables are written.
     """
     spec, result = found.spec, found.result
     controller = found.controller if result is None else result.controller
@@ -135,7 +131,7 @@ def write(
                 run.text(PAGE, page(result, first, pictures, certificate=certificate, summary=summary))
         if warned:
             index |= {"warnings": list(found.assessment.warnings), "questions": list(found.assessment.questions)}
-            index["margins"] = [margin_content(one) for one in found.assessment.margins]
+            index["margins"] = [_margin_content(one) for one in found.assessment.margins]
         if summary is not None:
             run.text(SUMMARY, summary)
         if found.largest is not None:
@@ -174,7 +170,7 @@ def _result_content(result: SimulatedLoop, proved: Mapping[str, Any]) -> dict[st
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
-        "tracked": {"sizes": sizes, "unit": error_unit(result.spec, result.controller)},
+        "tracked": {"sizes": sizes, "unit": norm_unit(result.spec, result.controller.error_names)},
     }
     for robust in result.controller.claims_of(Robust) if result.w is not None else ():
         content["uncertain"] = proved["uncertain"] | {"along_x_d": box_figures(result, robust)}
@@ -215,8 +211,27 @@ def proved_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         "parameters": dict(spec.parameters),
         "verdict": "proved",
         "solver": spec.objectives.solver,
-        "sizes": size_content(controller),
+        "sizes": _size_content(controller),
         **figures(spec.words, controller),
+    }
+
+
+def _margin_content(one: Margins) -> dict[str, Any]:
+    """Return the margins of a cell at an input as run.json has them, from 1; what nothing ends is None."""
+    ends = [v if isfinite(v) else None for v in (*one.gain, degrees(one.phase), one.delay, one.crossover)]
+    margins = {"gain": ends[:2], "phase": ends[2], "delay": ends[3], "crossover": ends[4]}
+    return {"cell": one.cell + 1, "input": one.input + 1, **margins}
+
+
+def _size_content(controller: ProvedController) -> dict[str, dict[str, float]]:
+    """Return the sizes that the gains were weighed with; those of estimates stand behind those of the states."""
+    plant, sizes = controller.plant, controller.sizes
+    loads = () if plant.loads is None else plant.loads.each
+    estimates = [load.name + "'" * k for load in loads for k in range(load.order)]  # a sinusoid has two
+    return {
+        "states": dict(zip([*plant.states, *estimates], [*sizes.state.tolist(), *sizes.load.tolist()], strict=True)),
+        "inputs": dict(zip(plant.inputs, sizes.input.tolist(), strict=True)),
+        "outputs": dict(zip(plant.outputs, sizes.output.tolist(), strict=True)),
     }
 
 

@@ -37,11 +37,7 @@ def spec_text(spec: Spec) -> bytes | None:
 
 
 def load(path: Path, parameters: Mapping[str, float | str]) -> Spec:
-    """Return the spec of a file, with the tables of its run where it is the copy that a run keeps.
-
-    Raises:
-        PwatrackError: As `load_spec`.
-    """
+    """Return the spec of a file, with the tables of its run where it is the copy that a run keeps."""
     if path.name not in (SPEC, WRITTEN) or not _tables(path):
         return load_spec(path, parameters)
     known = {str(path): attempt(lambda: spec_bytes(path))}
@@ -51,16 +47,11 @@ def load(path: Path, parameters: Mapping[str, float | str]) -> Spec:
 
 
 def spec_of(index: Mapping[str, Any], folder: Path, sha256: str) -> tuple[Path | None, str]:
-    """Return the spec that a run in a folder was made from, and what is to be said of the file that it was read from.
+    """Return the spec of these bytes that a run in a folder was made from, and what is to be said of the file it was.
 
     The folder's own copy is what it was made from, if that is as it was and has its tables. Next comes the file of the
     name that the index has, from here, then from the folder of the run and those that it is in: the first one of these
     bytes, or else the first one that is there, which has others.
-
-    Args:
-        index: What run.json holds.
-        folder: Where it is.
-        sha256: Of the spec, as certificate.json or controller.json has it.
     """
     name = Path(str(index.get("spec", "")))
     own = [folder / (WRITTEN if name == Path(WRITTEN) else SPEC)]

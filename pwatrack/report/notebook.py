@@ -73,11 +73,7 @@ def spread(many: EnsembleResult) -> "Figure":
 
 
 def frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
-    """Return columns as a table of pandas, by time or by member.
-
-    Raises:
-        InvalidSpec: If pandas is not installed.
-    """
+    """Return columns as a table of pandas, by time or by member; raises InvalidSpec if that is not installed."""
     try:
         pandas = import_module("pandas")
     except ImportError:

@@ -21,7 +21,7 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBox
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController, Row
-from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, error_unit, percent
+from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, norm_unit, percent
 from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import SUMMARY, kept_files, read_index
@@ -187,7 +187,7 @@ def _came_out(found: Findings) -> Iterator[Row]:
         said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
-        figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
+        figures, unit = ensemble_measures(many), norm_unit(many.nominal.spec, many.nominal.controller.error_names)
         ends = ", ".join(f"{count:,} {kind}" for kind, count in figures["outcomes"].items())
         worst = f"{figures['final_error']['worst']:.2e} {unit}".rstrip()
         said = f"{figures['members']:,} members {many.variation.text}: {ends}; error at the end {worst} at worst"

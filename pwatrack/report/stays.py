@@ -21,12 +21,7 @@ class Stay(NamedTuple):
 
 
 def stays(result: SimulatedLoop, dots: int) -> Iterator[tuple[str, list[Stay]]]:
-    """Yield each part of the loop with its rows, in the order of its cells; bars nearer than a dot are one.
-
-    Args:
-        result: The run.
-        dots: How many of these the time has.
-    """
+    """Yield each part of the loop with its rows; bars nearer than a dot, of which the time has so many, are one."""
     trace, shares = result.response.trace, result.figures.time_share
     known = trace.stays()
     modes, times = np.array([mode for mode, _, _ in known]), np.array([ends for _, *ends in known])

@@ -17,12 +17,11 @@ from pwatrack.control.words import sized
 from pwatrack.report.figures import (
     design_remarks,
     ensemble_measures,
-    error_unit,
     load_content,
     measures,
     member_figures,
+    norm_unit,
     percent,
-    states_unit,
 )
 from pwatrack.report.parameters import largest_text, run_rows
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
@@ -104,7 +103,7 @@ def print_result(console: Console, found: Findings) -> None:
     _add(table, (("uncertain", text) for text in run_rows(result)))
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     _add(table, (("time in", text) for text in _share_texts(result.figures.time_share)))
-    off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
+    off = f"{figures['final_observer_error']:.2e} {norm_unit(result.spec, result.spec.problem.plant.states)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = [f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in figures["largest_input"].items()]
@@ -175,7 +174,7 @@ def written(printing: Callable[[Console], None]) -> str:
 
 def print_ensemble(console: Console, many: EnsembleResult) -> None:
     """Say how the members of an ensemble went."""
-    figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
+    figures, unit = ensemble_measures(many), norm_unit(many.nominal.spec, many.nominal.controller.error_names)
     table = titled(None)
     table.add_row(
         "ensemble",

@@ -87,9 +87,7 @@ def console(*, stderr: bool = False) -> Console:
 def refusals() -> Iterator[None]:
     """End the program with the messages and the exit code of a refusal raised inside; no traceback.
 
-    Raises:
-        SystemExit: With the code of the refusal, 2 if stdout takes no more, 130 if the program is interrupted (143 by
-            SIGTERM), and 1 for any other exception.
+    The code is 2 if stdout takes no more, 130 if the program is interrupted (143 by SIGTERM), 1 for other exceptions.
     """
     try:
         yield

@@ -46,24 +46,16 @@ _WORTH = 1.2  # times as much margin is worth a word
 
 @dataclass(frozen=True, kw_only=True)
 class Assessment:
-    """What the proofs mean with what the file declares.
+    """What the proofs mean with what the file declares."""
 
-    Attributes:
-        acting: How large noises and disturbances count.
-        ends: The most that each signal is in the end under these: in the sampled loop where that is proved, else in the
-            loop as designed. Nothing where none acts.
-        condition: For what, in words.
-        margins: Of each cell by itself; none where to look for them would take long.
-        warnings: In the order of their weight.
-        questions: What is odd of the plant, and may be right.
-    """
-
-    acting: Mapping[Channel, float]
+    acting: Mapping[Channel, float]  # how large noises and disturbances count
+    # the most that each signal is in the end under these, nothing where none acts: in the sampled loop where that is
+    # proved, else in the loop as designed
     ends: Mapping[Form, float]
-    condition: str
-    margins: Sequence[Margins]
-    warnings: tuple[str, ...]
-    questions: tuple[str, ...]
+    condition: str  # for what, in words
+    margins: Sequence[Margins]  # of each cell by itself; none where to look for them would take long
+    warnings: tuple[str, ...]  # in the order of their weight
+    questions: tuple[str, ...]  # what is odd of the plant, and may be right
 
 
 def assessed(spec: Spec, controller: ProvedController) -> Assessment:

@@ -73,10 +73,8 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
     """Look how far away a refused inequality is; each step is an exact proof.
 
     Each independent parameter of the file that enters it is moved by itself: outwards in growing steps, then by
-    bisection between the last value without a proof and the first with one.
-
-    Returns:
-        What was found; None where the inequality is too large to be asked so often, or none that depends on the plant.
+    bisection between the last value without a proof and the first with one. None where the inequality is too large to
+    be asked so often, or none that depends on the plant.
     """
     inequality, rate = _Inequality(spec, evidence), None
     if inequality.proofs < _LEAST_PROOFS:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Literal, cast
 
@@ -40,11 +40,11 @@ class Variation:
     """What differs between the members of an ensemble."""
 
     over: Over  # the kind of what differs
-    given: bool  # whether the spec says how much; else it is the default
-    regions: Mapping[str, Region]  # what the members are drawn from, by part
-    names: Mapping[str, tuple[str, ...]]  # of the entries of each region
     values: Mapping[str, Array | IntArray]  # what was drawn, by name, one for each member
     member: Callable[[int], Member]  # returns a member by its index
+    given: bool = True  # whether the spec says how much; else it is the default
+    regions: Mapping[str, Region] = field(default_factory=dict)  # what the members are drawn from, by part
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # of the entries of each region
 
     @property
     def text(self) -> str:
@@ -255,7 +255,7 @@ def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
         _observe(result.spec, varied, start)
         return replace(first, z0=start, resets=tuple(varied.resets(result.spec.scenario.duration)))
 
-    return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
+    return Variation(over="noise", values={"noise_seed": seeds}, member=member)
 
 
 def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation:
@@ -277,9 +277,6 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
     names, member = tuple(loop.plant.states[k] for k in plane), _member(result, loop)
     return Variation(
         over="plane",
-        given=True,
-        regions={},
-        names={},
         values=dict(zip(names, x[:, plane].T, strict=True)),
         member=lambda number: replace(member, z0=starts[number]),
     )

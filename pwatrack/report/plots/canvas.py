@@ -162,9 +162,6 @@ class _Panels(LayoutEngine):
 
     Each panel is measured once, and again only if ticks have changed since. The layout of matplotlib measures twice,
     and once more for names in line, which takes longer than to draw.
-
-    Args:
-        title: That of the figure.
     """
 
     _adjust_compatible = False

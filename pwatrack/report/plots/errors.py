@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.report.figures import error_unit, states_unit
+from pwatrack.report.figures import norm_unit
 from pwatrack.report.plots.canvas import ACTUAL, BOUND, REQUIRED, ROUNDING, band, canvas, label, legend, limits, plain
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.workflow.outcome import SimulatedLoop
@@ -22,8 +22,8 @@ _HIGH, _LOW = 1.6, 0.85  # inches of a panel, where there are one or two and whe
 
 def tracking_error(result: SimulatedLoop) -> Figure:
     """Draw each tracking error over time within its proved band, and their norm, logarithmic (Figure 2)."""
-    controller, response, unit = result.controller, result.response, error_unit(result.spec, result.controller)
-    kind, names = controller.tracking, controller.error_names
+    controller, response = result.controller, result.response
+    kind, names, unit = controller.tracking, controller.error_names, norm_unit(result.spec, controller.error_names)
     desired = response.tracked_d if kind == "output" else response.x_d
     title = f"Tracking error: at most {result.outcome.final} in the last tenth of the time"
     title += ", at the samples" * ("final_error" in result.figures.sampled)
@@ -43,7 +43,7 @@ def tracking_error(result: SimulatedLoop) -> Figure:
 def observer_error(result: SimulatedLoop) -> Figure:
     """Draw each observer error over time within its proved band, and ‖x − x̂‖, logarithmic (Figure 2)."""
     states, response = result.spec.problem.plant.states, result.response
-    error, unit = response.observer_error, states_unit(result.spec)
+    error, unit = response.observer_error, norm_unit(result.spec, result.spec.problem.plant.states)
     off, x = response.x_hat - response.x, response.x
     floor = ROUNDING * float(np.abs(x / (response.state_sizes if len(states) > 1 else 1.0)).max())
     end = f"{number_text(error[-1], '.2g')} {unit}".rstrip() if error[-1] >= floor else "that of rounding"
