@@ -180,10 +180,7 @@ _TAKING = threading.Lock()
 
 
 def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
-    """Make a call on a worker, in a process of its own; return what came out, as bytes.
-
-    The worker has to have the versions of who asks: others may compute other bits.
-    """
+    """Make a call in a process of a worker that has the versions of who asks: others may compute other bits."""
     if versions() != known:
         other = [(name, here, known.get(name)) for name, here in versions().items() if known.get(name) != here]
         said = ", ".join(f"{name} {here} instead of {there}" for name, here, there in other)

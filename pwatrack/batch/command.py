@@ -91,10 +91,7 @@ def swept(
     jobs: int,
     scheduler: str | None,
 ) -> None:
-    """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
-
-    Ranges that are given replace those in the file.
-    """
+    """Sweep a spec as the command line does, over given ranges or those of the file."""
     from pwatrack.spec.load import assignments, read_sweep
 
     fixed = assignments(parameters)

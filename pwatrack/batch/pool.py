@@ -129,10 +129,7 @@ class Pool(Executor):
             self._dispatcher.join()
 
     def kill_workers(self) -> None:
-        """Cancel what has not begun, and end all processes: what they are at is lost.
-
-        Where none is there yet nobody waits for the first, which ends as it begins.
-        """
+        """Cancel what has not begun, and end all processes: what they are at is lost."""
         with self._lock:
             self._killing = True
         self.shutdown(wait=bool(self._workers), cancel_futures=True)

@@ -67,10 +67,7 @@ class Edge:
 
 
 def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed: int = 1) -> list[dict[str, float]]:
-    """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
-
-    Raises InvalidSpec if they are too many, or a parameter varies twice.
-    """
+    """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube; raises InvalidSpec."""
     names = [one.name for one in axes]
     if len(set(names)) < len(names):
         raise InvalidSpec(f"--sweep: {', '.join(names)}: each parameter once")

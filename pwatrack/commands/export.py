@@ -114,10 +114,7 @@ def subject_of(task: ExportTask) -> Subject:
 
 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
-    """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it.
-
-    Raises whatever design and simulation raise, and InvalidSpec if it has no sample time.
-    """
+    """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it."""
     conditions = spec.scenario.conditions
     if sample_time is not None:
         sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
@@ -200,10 +197,7 @@ def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
 
 
 def certify(path: Path, out: Path) -> list[str]:
-    """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files.
-
-    Raises as `verify`, and InvalidSpec if nothing in it is of the kind that the theory speaks of.
-    """
+    """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files."""
     from pwatrack.export.coq import development
     from pwatrack.lmi.audit.reading import parsed as certificate_content
 

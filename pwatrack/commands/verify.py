@@ -88,10 +88,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
 
 
 def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
-    """Return the design that an audited certificate tells, with the plant and the reference of a spec.
-
-    Raises ValueError if gains or elements do not fit to the spec, and as `desired_trajectory`.
-    """
+    """Return the design that an audited certificate tells, or raise ValueError where it does not fit the spec."""
     true = spec.problem.plant
     spec = _merged_as_told(spec, content)
     form = output_form(spec, content["generator"]["directions"]) if content["generator"] else None

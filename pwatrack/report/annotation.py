@@ -41,10 +41,7 @@ def faults(error: PwatrackError) -> tuple[JobFault, ...]:
 
 
 def excerpt(place: Place, message: str) -> list[str]:
-    """Return the line of a file and below it a caret: under what the message quotes first, else where the place is.
-
-    Nothing where the file or its line is not there any more.
-    """
+    """Return the line of a file, if it is there, and a caret below what the message quotes or else the place."""
     try:
         path = Path(place.file)
         text = content(path, lambda: _bytes(path)).decode("utf-8")

@@ -30,10 +30,7 @@ def prepare(executor: Executor) -> None:
 
 
 def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], dict[str, Picture]]:
-    """Begin to draw the pictures of a run in other processes, and return what waits for them, by name.
-
-    Where these fail, without them, and of a run that is partly on disk, it is done here.
-    """
+    """Begin to draw in other processes; return what waits for it, and draws here what they could not."""
     if executor is None or result.spool is not None:
         return lambda: drawn(slice(None), result)
     begun = {executor.submit(drawn, share, result): share for share in _SHARES}

@@ -368,10 +368,7 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
 
 
 def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], *, drawn: bool) -> dict[str, Picture]:
-    """Write a row for each member, and return the picture of all, by name.
-
-    A time that never comes, and a figure that a member has not, are empty.
-    """
+    """Write a row for each member, empty where it has no figure, and return the picture of all, by name."""
     kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
     header, rows = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:

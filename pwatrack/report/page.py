@@ -37,10 +37,7 @@ def page(
     certificate: str,
     summary: str | None = None,
 ) -> str:
-    """Return the page of a run, which needs no other file and no network.
-
-    Pictures are SVG files by name; certificate and summary are the texts of the files.
-    """
+    """Return the page of a run, which needs no other file and no network; pictures are SVG files by name."""
     title, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
     body = Template(files("pwatrack.report").joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=escaped(title),

@@ -17,10 +17,7 @@ from pwatrack.workflow.outcome import SimulatedLoop
 
 
 def _since(result: SimulatedLoop) -> tuple[int, float]:
-    """Return from which tenth of a run on, and from which time in s, w is what it is taken for in the end.
-
-    It is the last tenth, or as many as hold a period of the reference.
-    """
+    """Return the tenth of a run, and the time in s, from which on a whole period, or the last tenth, is left."""
     period, duration = result.controller.trajectory.exosystem.period or 0.0, result.spec.scenario.duration
     step = result.spec.scenario.sample_time
     starts = np.array(tenths(sample_count(duration, step))[:-1]) * step

@@ -167,10 +167,7 @@ def _parts(segments: Segments, start: float, end: float, rows: int) -> Iterator[
 
 
 def so_far(w: Array, t: Array, samples: int, step: float) -> Array:
-    """Return the largest size of each entry of w up to the end of the tenth of the run that a time is in, (K, n).
-
-    w (10, n) is that in each tenth, and t (K,) are times in s; a run has so many samples, so far apart.
-    """
+    """Return the largest w (10, n), of each tenth of a run, up to the end of the tenth of each time, (K, n)."""
     starts = np.array(tenths(samples)[:-1]) * step
     k = np.searchsorted(starts, t + step / 2, side="right") - 1  # never an earlier one than that of t
     return np.asarray(np.maximum.accumulate(w)[np.maximum(k, 0)])

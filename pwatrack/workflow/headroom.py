@@ -83,10 +83,7 @@ def _room(
     limits: Array,
     gains: Array,
 ) -> Headroom:
-    """Return what signals along x_d take of their limits, (m, 2), and with which errors a run may begin.
-
-    What the generator's start makes of it beyond a limit dies out: that is not in `lasting`.
-    """
+    """Return what signals along x_d take of their limits, (m, 2), and with which errors a run may begin."""
     plant, system, duration = spec.problem.plant, trajectory.exosystem, spec.scenario.duration
     given = trajectory.eta0
     if given is None and generator is not None:

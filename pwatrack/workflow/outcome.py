@@ -129,10 +129,7 @@ class RunMonitor:
 
     @property
     def w(self) -> Array | None:
-        """How large each entry of w got in each tenth of the time, where parameters are uncertain, (10, n).
-
-        None where it could not be enclosed.
-        """
+        """How large each entry of w got in each tenth of the time, (10, n); None where it could not be enclosed."""
         return None if self._along is None or not np.isfinite(self._along.w).all() else self._along.w
 
     def outcome(self, figures: Figures) -> Outcome:
@@ -348,10 +345,7 @@ class SimulatedLoop:
 
     @property
     def tracking_bound(self) -> Array | None:
-        """What the proofs promise of |y − y_d|, for state tracking of |x − x_d|, from these initial states, (K,).
-
-        None if the loop is not the one that they are about.
-        """
+        """What the proofs promise of the tracking error from this start, (K,); None of a loop they are not about."""
         if not self.loop.conditions.nominal:
             return None
         r = self.response

@@ -226,10 +226,7 @@ def simulate(
 
 
 def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
-    """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
-
-    Raises PwatrackError if the spec says it twice, or with wrong lengths.
-    """
+    """Return z(0), as a spec says it, once, and a period of the generator's steady state where it has one."""
     controller, initial, n = loop.controller, spec.scenario.initial, spec.problem.plant.A.shape[1]
     if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
         raise start_given_twice(("simulation", "initial", "generator"))

@@ -210,10 +210,7 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
 
 
 def other_parameters(result: SimulatedLoop, count: int, seed: int) -> Variation:
-    """Return the loop with plants whose parameters are drawn from intervals, and the controller as designed.
-
-    Refuses, as does `member`, a plant that is not of class (1) with other values.
-    """
+    """Return the loop, controller as designed, with plants of class (1) whose parameters are drawn from intervals."""
     loop, spec = result.loop, result.spec
     intervals = dict(spec.scenario.intervals) or _near(result)
     names = tuple(intervals)
@@ -259,10 +256,7 @@ def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
 
 
 def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation:
-    """Return the loop from x_d(0) and errors of two states, x̂ = x: around what is proved of such starts with limits.
-
-    Where nothing is, each of the two is within the largest size that it has in `result`.
-    """
+    """Return the loop from x_d(0) and errors of two states, x̂ = x: around what is proved, or else as in `result`."""
     loop, plane = result.loop, list(result.spec.scenario.plane)
     if plane[0] == plane[1]:
         raise InvalidSpec("the plant has one state: there is no plane", subject=None, hint="'--over initial'")

@@ -61,10 +61,7 @@ def observer_error(result: SimulatedLoop) -> Figure:
 def _panels(
     result: SimulatedLoop, title: str, kind: _Kind, names: Sequence[str], errors: Array, signals: Array, sizes: Array
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a panel for each error, of many those that are furthest off, and room for their norm.
-
-    The errors (K, n) are those of signals (K, n) with these names and sizes, and what is proved of them of that kind.
-    """
+    """Return a figure with a panel for each error (K, n), of many for the furthest off, and room for their norm."""
     t, shown = result.response.t, list(range(len(names)))
     if len(names) > _MOST:
         shown = sorted(np.argsort(-np.abs(errors).max(axis=0) / sizes)[:_MOST].tolist())
@@ -108,10 +105,7 @@ def _magnitude(axes: Axes, t: Array, size: Array, bound: Array | None, floor: fl
 
 
 def _error_lines(axes: Axes, result: SimulatedLoop, signs: Sequence[int], signal: str | None = None) -> list[float]:
-    """Draw the largest error that is required, in the last tenth of the time and in all of it; return the values.
-
-    That of the norm of all, or of one of the signals by itself.
-    """
+    """Draw the largest error that is required, of one signal or of the norm, late and ever; return the values."""
     t, drawn = result.response.t, list[float]()
     late = float(t[last_tenth(len(t)).start])
     for figure, start in (("final_error", late), ("largest_error", float(t[0]))):

@@ -149,10 +149,7 @@ def _over_time(
     *,
     ends: bool = False,
 ) -> Figure:
-    """Draw curves of signals below each other; of one alone, where it is long and `ends` are asked for, both ends.
-
-    Of a few the start is beside the whole.
-    """
+    """Draw curves of signals below each other; for `ends`, beside a few their start, below one both ends."""
     t, end, count = result.response.t, _start(result), len(names)
     first = min(end, _brief(t, curves[0][0] - curves[1][0])) if ends else end
     enlarged, left = ends and first < _ENLARGED * (t[-1] - t[0]), (1 - _ENLARGED) * float(t[-1] - t[0])
