@@ -15,8 +15,8 @@ from typing import Any
 
 from pwatrack.batch.work import Ended, Job
 from pwatrack.errors import InvalidSpec, Place
-from pwatrack.report.annotation import JobFault
 from pwatrack.report.run_folder import INDEX, read_index, written_at_once
+from pwatrack.report.terminal import JobFault
 from pwatrack.version import versions
 
 _FOLDER = ".batch"

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pwatrack.errors import ExitCode, PwatrackError
-from pwatrack.report.annotation import JobFault, faults
 from pwatrack.report.run_folder import Left, Plots, read_index, stamp
-from pwatrack.report.terminal import told
+from pwatrack.report.terminal import JobFault, faults, told
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,7 @@ from pwatrack.export.source import Source, reference_unit, said, template
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.tables import taylor, unit
 from pwatrack.spec.spec import Spec, Steady
-from pwatrack.workflow.starting import plant_start
-from pwatrack.workflow.tracking import desired_trajectory
+from pwatrack.workflow.tracking import desired_trajectory, plant_start
 
 _ORDER = (
     "At each step: set the inputs, step it, hand its outputs over, then step the plant. To step both at once, give the "

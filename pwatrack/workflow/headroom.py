@@ -25,7 +25,7 @@ from pwatrack.simulation.desired import desired_peak, w_alone
 from pwatrack.simulation.steady_state import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared
-from pwatrack.workflow.starting import generator_start, plant_start, starts_of
+from pwatrack.workflow.tracking import generator_start, plant_start, starts_of
 
 _STILL = 1e-12  # of the terms of w': what is less is rounding
 _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays in its cell, whatever rounding does

@@ -26,8 +26,7 @@ from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, TraceOnDisk, Unresolved, tenths
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import Along, bands, covered, limited, so_far, start_of_errors, tube_bounds
-from pwatrack.workflow.starting import start_remarks
-from pwatrack.workflow.tracking import reference_remarks
+from pwatrack.workflow.tracking import reference_remarks, start_remarks
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
 

@@ -37,8 +37,16 @@ from pwatrack.workflow.headroom import demand_of, room_of_signals, room_within_l
 from pwatrack.workflow.outcome import RunMonitor, SimulatedLoop
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
-from pwatrack.workflow.starting import generator_start, initial_values, plant_start
-from pwatrack.workflow.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
+from pwatrack.workflow.tracking import (
+    check_breaks,
+    desired_trajectory,
+    generator_start,
+    initial_values,
+    plant_start,
+    start_fixed,
+    start_given_twice,
+    starts_periodic,
+)
 
 MOST_KEPT = 250_000  # samples
 

@@ -64,11 +64,7 @@ def _checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
 
 
 def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> ProvedController | str:
-    """Return the design with the least of the cells merged, or why none is found; `designed` designs without claims.
-
-    Where (9) holds for all cells too, the observer that runs these is tried as well: the smaller bound of what is
-    tracked is taken.
-    """
+    """Return the design with the least of the cells merged, or why none is found; `designed` designs without claims."""
     plant, failed = spec.problem.plant, list[PwatrackError]()
     form = scalar_form(plant)
     if form is None or not widest(form):
@@ -88,7 +84,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     ways = list(chosen.values())
     made = merged_spec(spec, ways)
     found = [_bounded(made, plant, ways, refusal, designed)]
-    if plant.loads is None:
+    if plant.loads is None:  # where (9) holds for all cells too: the one with the smaller bound is taken
         found.append(_bounded(merged_spec(spec, ways, watched=True), plant, ways, refusal, designed))
 
     def bound(made: ProvedController) -> float:  # what the tracking error ends below, of several entries in sizes
