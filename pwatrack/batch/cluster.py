@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.batch.record import inputs
-from pwatrack.batch.work import Ended, Job, Work, refused
+from pwatrack.batch.work import Ended, Job, Work, inputs, refused
 from pwatrack.errors import InvalidSpec
 from pwatrack.remote_files import Found, attempt, carried
 from pwatrack.report.run_folder import Left, left_elsewhere, read_index

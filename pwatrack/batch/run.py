@@ -13,8 +13,7 @@ from pwatrack.batch.cluster import done, received, send
 from pwatrack.batch.find import find_specs
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.batch.record import recall, remember
-from pwatrack.batch.work import Ended, Job, Work, simulate
+from pwatrack.batch.work import Ended, Job, Work, recall, remember, simulate
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import Plots, sweep
 

@@ -58,7 +58,7 @@ def html(found: Findings) -> str:
     table = f'<table style="max-width:60em"><caption>{escape(found.spec.name)}</caption>{"".join(lines)}</table>'
     if found.result is None:
         return table
-    from pwatrack.report.plots.errors import tracking_error
+    from pwatrack.report.plots.signals import tracking_error
 
     return table + _picture(
         "tracking error", tracking_error(found.result) if found.many is None else spread(found.many)

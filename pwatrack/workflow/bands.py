@@ -152,10 +152,3 @@ def _parts(segments: Segments, start: float, end: float, rows: int) -> Iterator[
     for k in range(0, len(chosen), most):
         some = chosen[k : k + most]
         yield replace(segments, **{n: getattr(segments, n)[some] for n in ("number", "t", "zeta", "length")})
-
-
-def so_far(w: Array, t: Array, samples: int, step: float) -> Array:
-    """Return the largest w (10, n), of each tenth of a run, up to the end of the tenth of each time, (K, n)."""
-    starts = np.array(tenths(samples)[:-1]) * step
-    k = np.searchsorted(starts, t + step / 2, side="right") - 1  # never an earlier one than that of t
-    return np.asarray(np.maximum.accumulate(w)[np.maximum(k, 0)])

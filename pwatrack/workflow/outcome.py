@@ -25,7 +25,7 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, TraceOnDisk, Unresolved, tenths
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.bands import Along, bands, covered, limited, so_far, start_of_errors, tube_bounds
+from pwatrack.workflow.bands import Along, bands, covered, limited, start_of_errors, tube_bounds
 from pwatrack.workflow.tracking import reference_remarks, start_remarks
 
 Kind = Literal["tracks", "within its bound", "off", "grows", "above its bound"]
@@ -365,8 +365,10 @@ class SimulatedLoop:
             return {}  # whether an input came to its limit, what was kept does not tell
         r, w = self.response, self.w
         if w is not None:
-            samples = sample_count(self.spec.scenario.duration, self.spec.scenario.sample_time)
-            w = so_far(w, r.t, samples, self.spec.scenario.sample_time)
+            step = self.spec.scenario.sample_time
+            starts = np.array(tenths(sample_count(self.spec.scenario.duration, step))[:-1]) * step
+            k = np.searchsorted(starts, r.t + step / 2, side="right") - 1  # never an earlier tenth than that of t
+            w = np.maximum.accumulate(w)[np.maximum(k, 0)]
         return bands(self.loop, r, self.spec.objectives.uncertain, w)
 
     @property

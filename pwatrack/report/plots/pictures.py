@@ -15,8 +15,16 @@ from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.figures import percent
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
 from pwatrack.report.plots.elements import nonlinearities
-from pwatrack.report.plots.errors import observer_error, tracking_error
-from pwatrack.report.plots.signals import control_input, estimates, internal_states, outputs, states, steady_state
+from pwatrack.report.plots.signals import (
+    control_input,
+    estimates,
+    internal_states,
+    observer_error,
+    outputs,
+    states,
+    steady_state,
+    tracking_error,
+)
 from pwatrack.report.stays import stays
 from pwatrack.workflow.outcome import SimulatedLoop
 
