@@ -153,8 +153,7 @@ def sweep(
     """Look at many places, from `places`, and refine where a kind of proof ends: points and ends, in order.
 
     The executor does `look` and `bisect`, one place at a time, on whatever machine. `refine` is the share of each range
-    within which ends are found, between neighbours of a grid; None: they are not sought. `progress` is told how many
-    places and ends are done, and how many there are.
+    within which ends are found, between neighbours of a grid. `progress` is told how many are done, of how many.
     """
     set_, files = dict(fixed or {}), packed(spec)
     futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]

@@ -80,8 +80,7 @@ class ExportTask:
 def export(to: str, task: ExportTask, out: Path, *, single: bool) -> list[str]:
     """Write a controller in one of `LANGUAGES` to a folder, and return the names of the files.
 
-    Raises InvalidSpec if what is exported has no sample time, or cannot be read or written; CheckFailed if it is not
-    proved or its run failed, unless that is exported, too.
+    Raises InvalidSpec if it has no sample time, or CheckFailed if it is not proved or failed, unless that is exported.
     """
     subject = subject_of(task)
     code = subject.source(prefix(task.name or subject.file.name), single=single, given=task.given)

@@ -53,7 +53,7 @@ def run(
     shown: Shown = "summary",
     outside: bool = False,
 ) -> None:
-    """Design, simulate if asked, write the files, and print what came out.
+    """Design, simulate if asked, write the files, and print what came out; a refusal of the theory is written, too.
 
     Args:
         path, folder, parameters: The spec file, where the files go, and replacements as NAME=VALUE.
@@ -64,10 +64,6 @@ def run(
         plots, drawing: Whether pictures are drawn, or only if the run does not end as its spec expects; who else draws.
         shown: What is printed on stdout: the summary, also how long each step took, run.json instead, or nothing.
         outside: Whether the spec may refer to files outside of its folder.
-
-    Raises:
-        PwatrackError: Whatever loading, design, simulation or writing refuses; a refusal of the theory is written too.
-        CheckFailed: After all is written and printed, if the loop or a member of its ensemble fails: see `_check`.
     """
     progress, meant = console(stderr=True), shown in ("summary", "more")
     status = progress.status("Reading the spec")

@@ -26,11 +26,10 @@ def _since(result: SimulatedLoop) -> tuple[int, float]:
 
 
 def box_figures(result: SimulatedLoop, robust: Robust) -> dict[str, dict[str, float]]:
-    """Return what a box of parameters can do along the x_d of a run, and what was seen of it.
+    """Return what a box can do along the x_d of a run, and what was seen of it, for each signal by name.
 
-    Returns:
-        For each signal, by name: `bound`, what is proved of it in the end for a w as large as it is in the run from the
-        time of `_since` on, and for what is played back, and `seen`, its largest size at the samples of its last tenth.
+    `bound` is proved of it in the end for a w as large as in the run from the time of `_since` on, with what is played
+    back, and `seen` its largest size at the samples of its last tenth.
     """
     assert result.w is not None
     seen, late = dict[Form, float](), 0.9 * result.end

@@ -257,10 +257,7 @@ def plant_questions(plant: PWASystem) -> list[str]:
 
 
 def _pushes(A: Array, element: Nonlinearity) -> float:
-    """Return the most by which an element drives what it looks at away, per unit of it: in 1/s², through one rate.
-
-    As in `drives_away`, but of each slope by itself, and of what the element does as a whole.
-    """
+    """Return the most by which an element drives what it looks at away, per unit of it: in 1/s², through one rate."""
     row, d = (np.array([float(v) for v in values]) for values in (element.row, element.direction))
     if row @ d != 0:
         return 0.0

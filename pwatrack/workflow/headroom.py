@@ -42,8 +42,7 @@ def room_within_limits(
 ) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
-    Raises OutsideTheory if following the reference takes more than the limits: input, time, figure and limit. What only
-    the generator's start makes of it is no reason: it dies out.
+    Raises OutsideTheory if following the reference takes more; what only the generator's start makes of it dies out.
     """
     limits, names = spec.scenario.conditions.limits, spec.problem.plant.inputs
     if limits is None:
@@ -112,10 +111,9 @@ def _goes_on(
 ) -> bool:
     """Say whether signals along x_d, as `desired_peak` has them, are within their peak after the run too.
 
-    They are if the reference has no piece to come, and they repeat or are at rest; where a state of the generator
-    matters, if that is so close to its steady state by then that they cannot differ by what the peak is known to, by
-    the P of (17), or if it rests from the start on, inside of a cell.
-    `ends` are η̂(0) and that of the steady state, where there is one; the duration is in s.
+    They are if no piece of the reference is to come, and they repeat or are at rest; where a state of the generator
+    matters, if by the P of (17) that is so close to its steady state by then that they cannot differ by what the peak
+    is known to, or if it rests from the start on, inside of a cell. `ends` are η̂(0) and that of the steady state.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     if system.end is not None or any(reset.t > duration for reset in system.resets):
@@ -172,14 +170,10 @@ def _check(spec: Spec, room: Headroom, said: Sequence[str], at: Sequence[Subject
 def demand_of(
     spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, content: Any = None
 ) -> Demand | None:
-    """Return what set-points take of the inputs; None where the file has no limits of them.
+    """Return what set-points take of the inputs, as a certificate tells it or searched and proved; None without limits.
 
-    It is read from the content of a certificate where that is given, else searched and proved.
-
-    Raises:
-        InvalidSpec: If inputs have limits, and what an output itself takes has no end as no range of it is given.
-        OutsideTheory: If set-points take more than the limits, for a plant without internal states.
-        ValueError: If what was told is of other limits.
+    Raises InvalidSpec if that has no end as no range is given, OutsideTheory if it is more than limits of inputs, for a
+    plant without internal states, and ValueError if what was told is of other limits.
     """
     kept = _kept(spec, trajectory, generator)
     if kept is None or generator is None:

@@ -299,11 +299,7 @@ class LargestBox:
 
 
 def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
-    """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
-
-    The controller is a design for the spec, whether it is proved for its box or not. Raises Undecided if none was
-    proved.
-    """
+    """Find it by bisection, with a proof for each box that is kept; raises Undecided if none was proved."""
     uncertain, refusals = spec.objectives.uncertain, [Undecided()]
 
     def box(factor: float) -> Box:

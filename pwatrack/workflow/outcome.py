@@ -144,10 +144,7 @@ class RunMonitor:
         return self._growing() or self._practical(figures) or self._settled(figures)
 
     def _bounded(self, block: Response) -> Iterator[tuple[str, Array, Array, float]]:
-        """Yield errors that proofs speak of, what these allow, and what the simulation is uncertain by.
-
-        They are about the loop as designed, or about all plants of a box, of which this is one.
-        """
+        """Yield errors that proofs of the loop, or of its box, speak of, what these allow, and their rounding."""
         assert self._first is not None
         first, controller, t = self._first, self._loop.controller, block.t
         e, delta = first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]

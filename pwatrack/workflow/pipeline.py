@@ -125,10 +125,7 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
 def _with_gains(
     spec: Spec, growing: bool, *, exact: bool = True
 ) -> tuple[ProvedController, Headroom | None, Demand | None]:
-    """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave.
-
-    Where tracking is not exact nothing is proved of inputs at their limits, and K is not made for them.
-    """
+    """Find the gains with their proofs, and the room that limits leave, for which K is made if it is exact."""
     with spec.located():
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
@@ -184,10 +181,7 @@ def asked(spec: Spec, controller: ProvedController, content: Any = None) -> Aske
 
 
 def sampling_known(spec: Spec) -> tuple[str, ...]:
-    """Say what sampling makes of the loop in each cell, as far as that is known before gains are sought.
-
-    With K and L given it is what `sampling_remarks` says of the design; else that it depends on them.
-    """
+    """Say what sampling makes of the loop in each cell, or that it depends on K and L, if these are not given."""
     sampling, goals = spec.scenario.conditions.sampling, spec.objectives
     if sampling is None:
         return ()
@@ -202,10 +196,8 @@ def simulate(
 ) -> SimulatedLoop:
     """Run the closed loop from event to event: what `pwatrack.api.simulate` does, which says the rest.
 
-    Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
-
-    The controller is what `design(spec)` returned; designed first if not given, also where x_d grows without bound.
-    Where it is sampled, `runs` is the program of it, if it was kept; else it is made.
+    Without a controller one is designed, also where x_d grows without bound; where it is sampled, `runs` is the program
+    of it, if that was kept. Of a long run some samples are kept in memory and all of them on disk: see `TraceOnDisk`.
     """
     controller = controller or design(spec, growing=True)
     with spec.located():

@@ -66,8 +66,7 @@ def spec_form(spec: Spec) -> NormalForm:
 def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
     """Return the refusal with the kinds of tracking that may help in place of the one it names.
 
-    That is state tracking where no eigenvalue decides against it, and practical tracking where cells can be merged;
-    what is proved impossible is tried with cells merged by itself.
+    State tracking, where no eigenvalue decides against it; practical tracking, where that is not tried by itself.
     """
     plant, goals = spec.problem.plant, spec.objectives
     try:
@@ -86,11 +85,10 @@ def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
 
 
 def reference_sizes(spec: Spec, controller: ProvedController) -> Array:
-    """Return how large the reference of each signal of the tracking error is, never more than it is, (q,).
+    """Return how large the reference of each signal of the tracking error is, half of its swing in a run, (q,).
 
-    That is half of its swing in a run, and of one that rests its size; at samples, so a swing is a little more. It is 0
-    where the reference rests at 0, or is a response to given inputs that cannot be followed: there is nothing to
-    compare an error with.
+    Of one that rests it is its size, at samples never more than it is; 0 where that is 0, or it is a response to given
+    inputs that cannot be followed: there is nothing to compare an error with.
     """
     trajectory, plant = controller.trajectory, controller.plant
     p, of_state = len(trajectory.names), controller.tracking == "state"

@@ -250,10 +250,8 @@ def starts_of(
 ) -> Iterator[Starts]:
     """Yield the errors with which a run begins, and the members of its ensemble, where it is known where x_d does.
 
-    Noise and steps of a sensor are left out, and a disturbance that is no load which is estimated. Estimates of loads
-    start at 0.
-
-    `plant_at` is x(0), `generator` η̂(0) if it is known; in the sizes the observer makes the least of what is measured.
+    Noise and steps of a sensor are left out, and a disturbance that is no load which is estimated, from 0 on. In the
+    sizes the observer makes the least of what is measured. `plant_at` is x(0), `generator` η̂(0) if it is known.
     """
     plant, initial, regions = spec.problem.plant, spec.scenario.initial, spec.scenario.regions
     if "generator" in regions or (generator is None and trajectory.names):

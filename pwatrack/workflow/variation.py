@@ -67,10 +67,7 @@ class EnsembleResult:
 
     @property
     def failed(self) -> tuple[int, ...]:
-        """The indices of the members whose error grows without bound or is above its own proved bound.
-
-        Of starts in a plane none: they are to show where that is so.
-        """
+        """The indices of members that grow or are above their bound; of starts in a plane, which show that, none."""
         if self.variation.over == "plane":
             return ()
         return tuple(number for number, outcome in enumerate(self.outcomes) if outcome.code != ExitCode.DONE)
@@ -96,11 +93,9 @@ def ensemble(
 ) -> EnsembleResult:
     """Run a simulated closed loop again in many variations: what `pwatrack.api.ensemble` does, which says the rest.
 
-    What differs is for "initial" the initial states, drawn uniformly from the regions of the spec; where it says none,
-    each state of the plant starts within the largest size it has in `result` of its nominal start. For "parameters" it
-    is those of the plant, drawn uniformly from the intervals of the spec; where it says none, from 5 % around each
-    value that matters to the plant. For "noise" it is the seed. An executor does the work instead of threads here,
-    `workers` parts at a time; the result does not depend on it either.
+    Where the spec says no regions of initial states, each state of the plant starts within the largest size it has in
+    `result` of its nominal start; where it says no intervals, each parameter that matters is within 5 % of its value.
+    An executor does the work instead of threads here, `workers` parts at a time; the result does not depend on it either.
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)

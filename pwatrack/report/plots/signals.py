@@ -200,10 +200,7 @@ def _brief(t: Array, off: Array) -> float:
 
 
 def _start(result: SimulatedLoop) -> float:
-    """Return how long a start is worth a panel of its own, in s: five periods of the reference, or a tenth of the time.
-
-    A move of the reference that goes on then is shown to its end, and a little longer.
-    """
+    """Return how long a start is worth a panel, in s: five periods, or a tenth of the time with a move to its end."""
     t, y_d, period = result.response.t, result.response.tracked_d, result.controller.trajectory.exosystem.period
     if period:
         return min(float(t[-1]), 5 * period)
