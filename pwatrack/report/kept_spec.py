@@ -58,7 +58,7 @@ def spec_of(index: Mapping[str, Any], folder: Path, sha256: str) -> tuple[Path |
     own = [copy for copy in own if copy.is_file() and all(table.is_file() for table in _tables(copy).values())]
     read = [place for place in (name, *(above / name for above in folder.resolve().parents)) if place.is_file()]
     read = [] if name == Path(WRITTEN) else read
-    same = [place for place in (*own, *read) if _digest(place) == sha256]
+    same = [place for place in (*own, *read) if hashlib.sha256(place.read_bytes()).hexdigest() == sha256]
     found = next(iter([*same, *own, *read]), None)
     changed = found in own and bool(read) and not {*same} & {*read}
     return found, f"{read[0]} has other bytes than the spec it was made for, and was not looked at" if changed else ""
@@ -80,8 +80,3 @@ def _table(k: int) -> str:
 def _content(table: Path, *, outside: bool = False) -> bytes:
     folder = Folder(path=table.parent, outside=outside)
     return content(table, lambda: table_content(table, folder))
-
-
-def _digest(file: Path) -> str:
-    with file.open("rb") as found:
-        return hashlib.file_digest(found, "sha256").hexdigest()

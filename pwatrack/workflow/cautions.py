@@ -120,6 +120,8 @@ def _disturbed(
     """Yield where what is proved under noise and disturbances of the file is more than is required, or half of y_d."""
     references = reference_sizes(spec, controller)
     kinds = " and ".join(sorted(acting, reverse=True))
+    calmer = "raise 'sizes' of inputs: a faster K; or 'estimate' the load"
+    calmer = "raise 'sizes' of outputs: a calmer observer" if "noise" in kinds else calmer
     for k, name in enumerate(controller.error_names):
         bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
         limits = [
@@ -133,14 +135,8 @@ def _disturbed(
             yield (
                 f"under {kinds} no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
                 + f" is proved; {most:.3g} {unit}".rstrip()
-                + f" is {what}; {_calmer(kinds)}"
+                + f" is {what}; {calmer}"
             )
-
-
-def _calmer(kinds: str) -> str:
-    if "noise" in kinds:
-        return "raise 'sizes' of outputs: a calmer observer"
-    return "raise 'sizes' of inputs: a faster K; or 'estimate' the load"
 
 
 def acting_text(words: Words, acting: Mapping[Channel, float]) -> str:

@@ -175,10 +175,13 @@ def demand_of(
     Raises InvalidSpec if that has no end as no range is given, OutsideTheory if it is more than limits of inputs, for a
     plant without internal states, and ValueError if what was told is of other limits.
     """
-    kept = _kept(spec, trajectory, generator)
-    if kept is None or generator is None:
+    conditions, system = spec.scenario.conditions, trajectory.exosystem
+    if conditions.pace is None or conditions.set_range is None or generator is None or generator.played_back:
         return None
-    limits = spec.scenario.conditions.limits
+    if max(generator.form.degrees) > conditions.pace.shape[1]:
+        return None  # `program` refuses it
+    eta, limits = generator_start(spec, trajectory, generator), conditions.limits
+    kept = Kept.of(generator.form, conditions.pace, conditions.set_range, system(0.0), eta)
     if limits is not None and (open_ := unsaid(generator.form, kept)):
         names = " and ".join(open_)
         text = f"no range of {names} is given: what it takes of the inputs, which have limits, has no end"
@@ -193,17 +196,6 @@ def demand_of(
     if limits is not None and not generator.form.eta_names:
         _check_demand(spec, generator, found, limits)
     return found
-
-
-def _kept(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Kept | None:
-    """Return what a reference made of set-points keeps; None where there is none, or `program` refuses it."""
-    conditions, system = spec.scenario.conditions, trajectory.exosystem
-    if conditions.pace is None or conditions.set_range is None or generator is None or generator.played_back:
-        return None
-    if max(generator.form.degrees) > conditions.pace.shape[1]:
-        return None
-    eta = generator_start(spec, trajectory, generator)
-    return Kept.of(generator.form, conditions.pace, conditions.set_range, system(0.0), eta)
 
 
 def _check_demand(spec: Spec, generator: TrajectoryGenerator, found: Demand, limits: Array) -> None:

@@ -173,7 +173,7 @@ class _Inequality:
 
     def largest_rate(self) -> float | None:
         """Return the largest rate that is proved, with as many digits as `nearest` gives."""
-        task = self._task(self._spec.problem.plant)
+        task = Task.of(self._spec.problem.plant, self._role, sizes=self._sizes)
 
         def proved(rate: float) -> bool:
             return self._paid() and _some_gain(task, _ROOM * rate) is not None
@@ -204,7 +204,10 @@ class _Inequality:
                 return False
             return bool(_common_P(self._role, M) or (self._any_sign and prove_dichotomy(self._role, M)))
         plant = self._plant(name, value)
-        return plant is not None and _some_gain(self._task(plant), _ROOM * self._rate) is not None
+        return (
+            plant is not None
+            and _some_gain(Task.of(plant, self._role, sizes=self._sizes), _ROOM * self._rate) is not None
+        )
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""
@@ -218,9 +221,6 @@ class _Inequality:
         except PwatrackError:  # no plant of class (1)
             return None
 
-    def _task(self, plant: PWASystem) -> Task:
-        return Task.of(plant, self._role, sizes=self._sizes)
-
     def _matrices(self, name: str, value: float) -> list[BallMatrix] | None:
         """Return the M_i of (17), or of (8) or (9) with the gain that is given; None where there are none."""
         plant = self._plant(name, value)
@@ -228,7 +228,7 @@ class _Inequality:
 
     def _of(self, plant: PWASystem) -> list[BallMatrix] | None:
         if self._role is not GENERATOR:
-            task = self._task(plant)
+            task = Task.of(plant, self._role, sizes=self._sizes)
             if self._gain is not None:
                 return task.exactly_closed(self._gain)
             assert task.exact is not None

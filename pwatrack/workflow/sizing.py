@@ -28,8 +28,6 @@ _GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are even 
 _BRIEF = 0.05  # of the time of a run: a signal that moves no longer does so in spikes
 _STILL = 1e-9  # of the largest value, or of a size: what moves less is a constant, or 0, but for rounding
 
-Known = tuple[str, float, Origin]
-
 
 def spec_sizes(spec: Spec) -> Sizes:
     """Return the sizes of all signals of a spec.
@@ -114,7 +112,7 @@ def _response(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) 
     return np.asarray(periodic_state(desired_flow(plant, trajectory), z0, free=p, period=period).z[:, :p])
 
 
-def _told(spec: Spec) -> Iterator[Known]:
+def _told(spec: Spec) -> Iterator[tuple[str, float, Origin]]:
     """Yield what a spec says of sizes, in the order in which it counts."""
     plant, scenario = spec.problem.plant, spec.scenario
     for name, size in spec.problem.sizes.items():

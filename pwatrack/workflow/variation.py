@@ -95,7 +95,7 @@ def ensemble(
 
     Where the spec says no regions of initial states, each state of the plant starts within the largest size it has in
     `result` of its nominal start; where it says no intervals, each parameter that matters is within 5 % of its value.
-    An executor does the work instead of threads here, `workers` parts at a time; the result does not depend on it either.
+    An executor does the work instead of threads here, `workers` parts at a time; the result does not depend on it.
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
