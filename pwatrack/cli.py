@@ -276,8 +276,8 @@ def sweep(
 ) -> None:
     """Design a spec at many values of its parameters: a table, curves or maps, and where proofs end."""
     with refusals():
-        from pwatrack.batch.command import swept
         from pwatrack.batch.find import run_name
+        from pwatrack.batch.sweep import swept
 
         folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
         swept(

@@ -163,19 +163,14 @@ class Pool(Executor):
 
     def _assigned(self) -> bool:
         """Give tasks to processes that have none; return whether there is anything left to wait for."""
-        self._assign()
-        with self._lock:
-            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
-
-    def _assign(self) -> None:
         while True:
             free = next((w for w in self._workers if not w.task and not w.reason), None)
             if free is None and len(self._workers) >= self._jobs:
-                return
+                break
             with self._lock:
                 task = self._waiting.popleft() if self._waiting else None
             if task is None:
-                return
+                break
             if not task.future.set_running_or_notify_cancel():
                 continue
             if free is None:
@@ -185,6 +180,8 @@ class Pool(Executor):
             self._begin(free)
             with suppress(OSError):  # it died meanwhile: seen from its sentinel
                 free.tasks.send_bytes(task.content)
+        with self._lock:
+            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
 
     def _begin(self, worker: _Worker) -> None:
         """Let the time of a task begin, if its process is there to do it."""

@@ -10,15 +10,15 @@ from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
-from pwatrack.batch.cluster import packed, with_files
-from pwatrack.batch.pool import Lost
+from pwatrack.batch.cluster import Cluster, packed, with_files
+from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import written_at_once
-from pwatrack.report.terminal import told
-from pwatrack.spec.axis import MOST, Axis
+from pwatrack.report.terminal import console, told
+from pwatrack.spec.axis import MOST, Axis, axis
 from pwatrack.spec.requirement import QUANTITIES
 
 Method = Literal["grid", "random", "lhs"]
@@ -26,6 +26,7 @@ PROVED, POLYNOMIAL, PRACTICAL, NONE = "proved", "proved by a polynomial", "pract
 PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
 
 _TOLD = ("rate", "settling_time", "final_error")  # figures of which the best is said
+_LIMIT = 600.0  # s: for a point
 _HALVINGS = 60  # of an interval at most: more than a double has digits
 
 
@@ -289,3 +290,53 @@ def _table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) 
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows([repr(v) if isinstance(v, float) else v for v in row] for row in rows)
+
+
+def swept(
+    spec: Path,
+    ranges: Sequence[str],
+    out: Path,
+    *,
+    parameters: Sequence[str],
+    method: Method,
+    count: int,
+    seed: int,
+    simulated: bool,
+    refine: float | None,
+    jobs: int,
+    scheduler: str | None,
+) -> None:
+    """Sweep a spec as the command line does, over given ranges or those of the file."""
+    from pwatrack.spec.load import assignments, read_sweep
+
+    fixed = assignments(parameters)
+    axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
+    if not axes:
+        raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file")
+    at = places(axes, method, count, seed)
+    name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
+    with (
+        console(stderr=True).status("Starting") as status,
+        Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,
+    ):
+        points, edges = sweep(
+            spec,
+            axes,
+            executor,
+            at=at,
+            fixed=fixed,
+            simulated=simulated,
+            refine=refine if method == "grid" else None,
+            progress=lambda done, total: status.update(f"{done:,} of {total:,}"),
+        )
+    screen = console()
+    files = write_sweep(out, axes, points, edges)
+    if draw_sweep(out / "sweep.png", f"{name}: {len(points):,} designs", axes, points, edges):
+        files.append(out / "sweep.png")
+    for verdict in dict.fromkeys(point.verdict for point in points):
+        screen.print(f"{sum(point.verdict == verdict for point in points):,} {verdict}")
+    for sentence in told_of(points, edges):
+        screen.print(sentence, soft_wrap=True)
+    if edges and len(axes) > 1:
+        screen.print(f"a kind of proof ends at {len(edges):,} places: boundary.csv has both sides of each")
+    screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)

@@ -22,7 +22,7 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.simplified import merged_spec
-from pwatrack.workflow.sizing import spec_form
+from pwatrack.workflow.tracking import spec_form
 
 
 def design_certificate(spec: Spec, controller: ProvedController) -> dict[str, Any]:

@@ -1,21 +1,16 @@
 """The sizes of a spec's signals: those that the file gives, and those that follow from what else it says."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.goal import DEFAULT
-from pwatrack.control.modes import check_modes
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Remedy, Way
-from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.errors import OutsideTheory, PwatrackError
+from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
-from pwatrack.model.scalar_form import scalar_form
-from pwatrack.model.simplification import widest
 from pwatrack.model.sizes import Origin, Sizes
 from pwatrack.simulation.desired import blocks, desired_flow
 from pwatrack.simulation.region import BoxRegion
@@ -49,37 +44,6 @@ def spec_sizes(spec: Spec) -> Sizes:
         if name not in spec.problem.sizes and std > size:
             known[name] = std, "noise"
     return Sizes.of(plant, known, tempo=tempo)
-
-
-def spec_form(spec: Spec) -> NormalForm:
-    """Return the normal form (11) of a plant; of more inputs than outputs, u_ff takes the least in their sizes."""
-    plant = spec.problem.plant
-    several = plant.B.shape[1] > len(plant.tracked)
-    try:
-        return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
-    except OutsideTheory as refusal:
-        raise advised(refusal, spec) from None
-
-
-def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
-    """Return the refusal with the kinds of tracking that may help in place of the one it names.
-
-    State tracking, where no eigenvalue decides against it; practical tracking, where that is not tried by itself.
-    """
-    plant, goals = spec.problem.plant, spec.objectives
-    try:
-        check_modes(plant, DEFAULT, DEFAULT, spec_sizes(spec))
-        by_state = True
-    except Infeasible:
-        by_state = False
-    by_itself = isinstance(refusal, Infeasible)
-    form = None if by_itself or goals.practical or goals.uncertain else scalar_form(plant)
-    merging = form is not None and bool(widest(form))
-    ways = {(True, True): Way.STATE_OR_PRACTICAL, (True, False): Way.STATE_TRACKING, (False, True): Way.PRACTICAL}
-    way, named = ways.get((by_state, merging)), Remedy(Way.STATE_TRACKING)
-    remedy = None if way is None else Remedy(way)
-    told = (replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems)
-    return type(refusal)(*told, evidence=refusal.evidence)
 
 
 def reference_sizes(spec: Spec, controller: ProvedController) -> Array:

@@ -9,13 +9,14 @@ from pwatrack.arrays import Array
 from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
+from pwatrack.control.goal import DEFAULT
 from pwatrack.control.headroom import Starts
-from pwatrack.control.modes import check_loads
+from pwatrack.control.modes import check_loads, check_modes
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem, PwatrackError, Subject
-from pwatrack.model.normal_form import NormalForm
+from pwatrack.errors import CheckFailed, Infeasible, InvalidSpec, OutsideTheory, Problem, PwatrackError, Remedy, Way
+from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.profile import Table
 from pwatrack.model.reference import (
     InputReference,
@@ -27,7 +28,9 @@ from pwatrack.model.reference import (
     exosystem,
     shortest_rounding,
 )
+from pwatrack.model.scalar_form import scalar_form
 from pwatrack.model.signal import Signal
+from pwatrack.model.simplification import widest
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
@@ -36,7 +39,7 @@ from pwatrack.simulation.stable_inversion import played_back
 from pwatrack.simulation.steady_state import consistent_start, from_measured
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
-from pwatrack.workflow.sizing import advised, spec_form
+from pwatrack.workflow.sizing import spec_sizes
 
 
 def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
@@ -85,12 +88,43 @@ def desired_trajectory(
     return played_back(trajectory, spec.scenario.duration), generator
 
 
+def spec_form(spec: Spec) -> NormalForm:
+    """Return the normal form (11) of a plant; of more inputs than outputs, u_ff takes the least in their sizes."""
+    plant = spec.problem.plant
+    several = plant.B.shape[1] > len(plant.tracked)
+    try:
+        return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
+    except OutsideTheory as refusal:
+        raise _advised(refusal, spec) from None
+
+
+def _advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
+    """Return the refusal with the kinds of tracking that may help in place of the one it names.
+
+    State tracking, where no eigenvalue decides against it; practical tracking, where that is not tried by itself.
+    """
+    plant, goals = spec.problem.plant, spec.objectives
+    try:
+        check_modes(plant, DEFAULT, DEFAULT, spec_sizes(spec))
+        by_state = True
+    except Infeasible:
+        by_state = False
+    by_itself = isinstance(refusal, Infeasible)
+    form = None if by_itself or goals.practical or goals.uncertain else scalar_form(plant)
+    merging = form is not None and bool(widest(form))
+    ways = {(True, True): Way.STATE_OR_PRACTICAL, (True, False): Way.STATE_TRACKING, (False, True): Way.PRACTICAL}
+    way, named = ways.get((by_state, merging)), Remedy(Way.STATE_TRACKING)
+    remedy = None if way is None else Remedy(way)
+    told = (replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems)
+    return type(refusal)(*told, evidence=refusal.evidence)
+
+
 def spec_generator(spec: Spec, form: NormalForm, *, known: bool) -> TrajectoryGenerator:
     """Return the generator of a plant in the form (11), or advise state tracking where no eigenvalue is against it."""
     try:
         return trajectory_generator(form, preview=known)
     except PwatrackError as refusal:
-        raise advised(refusal, spec) from None
+        raise _advised(refusal, spec) from None
 
 
 def _output_signals(reference: OutputReference, form: NormalForm) -> list[Signal]:
@@ -166,7 +200,7 @@ def check_breaks(
         raise InvalidSpec(*(p.prefixed(said) for p in fast.problems)) from None
 
 
-def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) -> None:
+def _check(signals: list[Signal], r: int | None, subject: tuple[str, ...], name: str) -> None:
     for signal in signals:
         check_bounded(signal, name=name, subject=subject)
         if r is not None:
@@ -183,10 +217,9 @@ def starts_periodic(spec: Spec) -> bool:
     return isinstance(spec.problem.reference, InputReference) and spec.problem.reference.start is None
 
 
-def start_given_twice(subject: Subject) -> InvalidSpec:
+def start_given_twice(subject: tuple[str, ...]) -> InvalidSpec:
     """Return the refusal of a start of the desired trajectory beside that of the reference."""
-    where = ".".join(map(str, subject))
-    message = f"{where}: the reference itself says where the desired trajectory starts"
+    message = f"{'.'.join(subject)}: the reference itself says where the desired trajectory starts"
     return InvalidSpec(message, subject=subject, hint="leave it out")
 
 
@@ -240,7 +273,7 @@ def initial_values(values: Array | None, length: int, part: str) -> Array:
     if values is None:
         return np.zeros(length)
     if len(values) != length:
-        subject: Subject = ("simulation", "initial", part)
+        subject = ("simulation", "initial", part)
         raise InvalidSpec(f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
     return values
 

@@ -13,7 +13,7 @@ from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController
-from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError, Subject
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
@@ -183,11 +183,11 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
         random = np.random.default_rng([seed, number])  # so that no part depends on another
         drawn = regions[part].draw(random, count)
         if part == "generator":
-            subject: Subject = ("simulation", "ensemble", "initial", "generator")
+            subject = ("simulation", "ensemble", "initial", "generator")
             if start_fixed(spec, result.controller):
                 raise start_given_twice(subject)
             if drawn.shape[1] != len(etas):
-                message = f"{'.'.join(map(str, subject))}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
+                message = f"{'.'.join(subject)}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
                 message += "one for each state of the generator"
                 raise InvalidSpec(message, subject=subject)
         starts[:, where] = drawn
@@ -293,7 +293,7 @@ def _area(edge: Array) -> float:
 
 
 _VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise, "plane": starts_in_a_plane}
-_OVER: Subject = ("simulation", "ensemble", "parameters")
+_OVER = ("simulation", "ensemble", "parameters")
 _NUMBERS = attrgetter("A", "b", "B", "C", "tracked", "partition.H", "partition.h")  # of a plant
 
 
