@@ -132,7 +132,7 @@ class Pool(Executor):
         """Cancel what has not begun, and end all processes: what they are at is lost."""
         with self._lock:
             self._killing = True
-        self.shutdown(wait=bool(self._workers), cancel_futures=True)
+        self.shutdown(wait=bool(self._workers), cancel_futures=True)  # the first, if it comes yet, ends as it begins
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:

@@ -98,9 +98,8 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
     for proof in proofs:
         if isinstance(proof, Dichotomy) and generator is not None:
             generator = replace(generator, certificate=proof)
-    cheaper = content.get("K_of_least_cost")
     K, L = (doubles(content[name]) for name in ("K", "L"))
-    cheaper = None if cheaper is None else doubles(cheaper)
+    cheaper = None if (least := content.get("K_of_least_cost")) is None else doubles(least)
     controller = ProvedController(
         plant=plant,
         running=plant if content["practical"] is None else true,

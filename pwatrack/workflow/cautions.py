@@ -1,8 +1,7 @@
 """What an engineer would be warned of before this design goes to its machine: each with its figure, and a way out.
 
-It changes no proof. What is proved says so; margins and modes are of each cell by itself, in floating point. What is
-odd of a plant by itself, elements that give energy, modes that run away or are not damped, is asked before any design:
-only who knows the machine can say whether the file is right.
+Margins and modes are of each cell by itself, in floating point. What is odd of a plant by itself is asked before any
+design: only who knows the machine can say whether the file is right.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence

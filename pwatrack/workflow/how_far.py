@@ -1,7 +1,4 @@
-"""How far away a refused inequality is: from which value of each parameter on it is proved, and which rate is.
-
-And how far a box of uncertain parameters can be scaled about the values of the design.
-"""
+"""How far away a refused inequality is, by parameters and rate, and how far a box of uncertain ones can be scaled."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
