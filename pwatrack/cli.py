@@ -280,19 +280,9 @@ def sweep(
         from pwatrack.batch.sweep import swept
 
         folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
-        swept(
-            spec_path,
-            ranges or (),
-            folder,
-            parameters=parameters or (),
-            method=method,
-            count=count,
-            seed=seed,
-            simulated=simulated,
-            refine=refine,
-            jobs=jobs,
-            scheduler=scheduler,
-        )
+        where: Any = {"method": method, "count": count, "seed": seed, "refine": refine}
+        how: Any = {"parameters": parameters or (), "simulated": simulated, "jobs": jobs, "scheduler": scheduler}
+        swept(spec_path, ranges or (), folder, **where, **how)
 
 
 @app.command(epilog="Example: pwatrack compare runs/first runs/softer --picture errors.png")
