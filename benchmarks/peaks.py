@@ -24,8 +24,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.errors import PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.desired import desired_flow, desired_peak
-from pwatrack.workflow.starting import generator_start
-from pwatrack.workflow.tracking import desired_trajectory
+from pwatrack.workflow.tracking import desired_trajectory, generator_start
 
 _STEPS = 200_000
 _FINER = 1_000  # steps in the place of one that ends in another cell

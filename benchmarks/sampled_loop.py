@@ -29,8 +29,8 @@ from pwatrack.control.sampled_disturbances import Acting, row
 from pwatrack.errors import PwatrackError
 from pwatrack.model.conditions import Method, Sampling
 from pwatrack.model.pwa import PWASystem
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.pipeline import asked_of, design, simulate
-from pwatrack.workflow.result import SimulatedLoop
 from tests.sampled import worst_found
 
 SPECS = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]

@@ -14,7 +14,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline, variation
-from pwatrack.workflow.result import SimulatedLoop as Simulated
+from pwatrack.workflow.outcome import SimulatedLoop as Simulated
 from pwatrack.workflow.variation import EnsembleResult, Over
 
 if TYPE_CHECKING:
@@ -433,8 +433,9 @@ def ensemble(
 
 def _html(design: Design, result: Simulated | None = None, many: Many | None = None) -> str:
     from pwatrack.report.notebook import html
+    from pwatrack.report.screen import Findings
 
-    return html(design.spec, design, result, many)
+    return html(Findings(spec=design.spec, controller=design, result=result, many=many))
 
 
 def _check(function: str, value: object, *kinds: type) -> None:

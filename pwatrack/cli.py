@@ -152,7 +152,7 @@ def design(
     outside: Outside = False,
 ) -> None:
     """Find the gains and prove them; write gains, certificate and generator."""
-    chosen: dict[str, Any] = {"fronts": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
+    chosen: dict[str, Any] = {"paretos": pareto, "scaled": robust is not None, "shown": _shown(quiet, verbose, as_json)}
     _run(spec_path, out, parameters, solver, simulated=False, outside=outside, **chosen)
 
 
@@ -276,23 +276,13 @@ def sweep(
 ) -> None:
     """Design a spec at many values of its parameters: a table, curves or maps, and where proofs end."""
     with refusals():
-        from pwatrack.batch.command import swept
         from pwatrack.batch.find import run_name
+        from pwatrack.batch.sweep import swept
 
         folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
-        swept(
-            spec_path,
-            ranges or (),
-            folder,
-            parameters=parameters or (),
-            method=method,
-            count=count,
-            seed=seed,
-            simulated=simulated,
-            refine=refine,
-            jobs=jobs,
-            scheduler=scheduler,
-        )
+        where: Any = {"method": method, "count": count, "seed": seed, "refine": refine}
+        how: Any = {"parameters": parameters or (), "simulated": simulated, "jobs": jobs, "scheduler": scheduler}
+        swept(spec_path, ranges or (), folder, **where, **how)
 
 
 @app.command(epilog="Example: pwatrack compare runs/first runs/softer --picture errors.png")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from pwatrack.batch.work import Ended, Job, refused
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.annotation import JobFault
 from pwatrack.report.run_folder import read_index, run_folder
+from pwatrack.report.terminal import JobFault
 from tests.runs import record
 
 NOISE = "\x1b[31mred\x00 \udcff <&>]]>"

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from pwatrack.cli import app
 from pwatrack.errors import Place
-from pwatrack.report.annotation import excerpt
+from pwatrack.report.terminal import excerpt
 
 
 def at(line: str, column: int, message: str, tmp_path: Path) -> list[str]:

@@ -19,11 +19,10 @@ from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report import summary, terminal
 from pwatrack.report.check import can_be_designed, plant_rows
 from pwatrack.report.files import write_result
-from pwatrack.report.first_rows import first_rows
 from pwatrack.report.parameters import run_rows
 from pwatrack.report.plant import print_plant
-from pwatrack.report.required import required
-from pwatrack.workflow.cautions import assessed, plant_questions
+from pwatrack.report.screen import Findings, first_rows
+from pwatrack.workflow.cautions import plant_questions
 from pwatrack.workflow.pipeline import design
 from pwatrack.workflow.simplified import checked as known
 from pwatrack.workflow.sizing import spec_sizes
@@ -117,18 +116,15 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         rows += [(False, "check", can_be_designed(report, "", refused=refused)) for refused in (False, True)]
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
-        checked = required(spec, controller, result)
-        assessment = assessed(spec, controller)
-        summary.print_design(console, spec, controller, required(spec, controller), assessment=assessment)
-        summary.print_result(console, result, checked, assessment)
-        said = first_rows(spec, controller, assessment, checked=checked, result=result)
-        rows += [(False, label, text) for label, text in said]
+        summary.print_design(console, Findings(spec=spec, controller=controller))
+        found = Findings(spec=spec, controller=controller, result=result)
+        summary.print_result(console, found)
+        rows += [(False, label, text) for label, text in first_rows(found)]
         rows += [(False, "uncertain", said) for said in run_rows(replace(result, w=None))]  # as if that took too long
         if path.stem in ("state", "cart"):
             many = ensemble(result, 3)
             summary.print_ensemble(console, many)
-            said = first_rows(spec, controller, assessment, result=result, many=many)
-            rows += [(False, label, text) for label, text in said]
+            rows += [(False, label, text) for label, text in first_rows(replace(found, many=many))]
         for sentence in verify(write_result(result, tmp_path / "run", plots="none"), path):
             label, _, rest = sentence.partition(": ")
             own = label.startswith(("(", "plant", "Theorem"))

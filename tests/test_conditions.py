@@ -20,6 +20,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.pictures import pictures
 from pwatrack.simulation.layout import Actuator
+from pwatrack.spec.spec import Steady
 from tests.scenarios import in_scenario
 
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
@@ -269,7 +270,7 @@ def predicted(machine: "Machine", x_hat: Array, u: Array, step: float, substeps:
 def test_a_controller_that_corrects_is_nearer_to_the_continuous_one(paper_spec: Spec, paper: Result) -> None:
     """From x̂ = x: what is measured acts at once, and what is held is a mean."""
     start = paper_spec.scenario.initial.plant
-    assert not isinstance(start, str)
+    assert not isinstance(start, Steady)
     initial = replace(paper_spec.scenario.initial, observer=start)
     short = in_scenario(paper_spec, duration=3.0, initial=initial)
     exact = simulate(short, paper.controller).response.x

@@ -18,10 +18,9 @@ from pwatrack.batch.pool import Lost, Pool
 from pwatrack.report.drawing import Picture, begin, prepare
 from pwatrack.report.files import write_result
 from pwatrack.report.plots.canvas import png
-from pwatrack.report.plots.cells import active_cells
 from pwatrack.report.plots.elements import nonlinearities
-from pwatrack.report.plots.errors import observer_error
-from pwatrack.report.plots.pictures import pictures
+from pwatrack.report.plots.pictures import active_cells, pictures
+from pwatrack.report.plots.signals import observer_error
 from pwatrack.report.plots.spread import fan
 from tests.test_cli import call
 

@@ -10,10 +10,8 @@ from scipy import signal
 
 from pwatrack import Design, InvalidSpec, Result, design, ensemble, load_spec, plant, problem, simulate
 from pwatrack.api import Many
-from pwatrack.report.first_rows import first_rows
 from pwatrack.report.notebook import frame
-from pwatrack.report.screen import joined
-from pwatrack.workflow.cautions import assessed
+from pwatrack.report.screen import Findings, first_rows, joined
 from tests.conftest import SPECS
 
 ASKED: dict[str, Any] = {"reference": "0.1*sin(t)", "simulation": {"duration": 5, "sample_time": 0.05}}
@@ -36,9 +34,8 @@ def many(run: Result) -> Many:
 
 
 def test_a_notebook_shows_all_rows_of_the_first_screen(made: Design, run: Result, many: Many) -> None:
-    assessment = assessed(made.spec, made)
     for shown, came in ((made, {}), (run, {"result": run}), (many, {"result": run, "many": many})):
-        rows = joined(first_rows(made.spec, made, assessment, **came))
+        rows = joined(first_rows(Findings(spec=made.spec, controller=made, **came)))
         html = shown._repr_html_()
         assert html.count("<tr>") == len(rows)
         assert all(f">{label}</th>" in html for label, _ in rows)

@@ -18,7 +18,7 @@ from pwatrack.batch.page import write_page
 from pwatrack.batch.reports import add_summary, annotations
 from pwatrack.cli import app
 from pwatrack.errors import Place
-from pwatrack.report.annotation import JobFault
+from pwatrack.report.terminal import JobFault
 
 ODD = os.fsdecode(b"specs/a,b: \xff\x1b[31m|<b>%\n.yaml")
 OUTCOMES = [

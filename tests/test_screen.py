@@ -11,8 +11,7 @@ from typer.testing import Result
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.report.first_rows import first_rows
-from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
+from pwatrack.report.screen import COLUMNS, LINES, Findings, first_rows, fitted, joined
 from pwatrack.simulation.margins import loop_margins
 from pwatrack.workflow.bands import declared
 from pwatrack.workflow.cautions import assessed, plant_questions
@@ -267,6 +266,6 @@ def test_a_plant_of_the_box_is_not_called_unproved(specs: Path, tmp_path: Path) 
         text = path.read_text(encoding="utf-8").replace("m: 2.1", f"m: {value}")
         (tmp_path / "box.yaml").write_text(text, encoding="utf-8")
         spec = load_spec(tmp_path / "box.yaml")
-        made = design(spec)
-        rows = [text for label, text in first_rows(spec, made, assessed(spec, made)) if label == "NOT proved"]
+        found = first_rows(Findings(spec=spec, controller=design(spec)))
+        rows = [text for label, text in found if label == "NOT proved"]
         assert rows == [f"for other m = {value}, k = 64" if named else BOUND.format(value)]

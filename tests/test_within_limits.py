@@ -30,6 +30,7 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
+from pwatrack.report.screen import Findings
 from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
@@ -454,7 +455,7 @@ def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) 
     assert found.promises[0].scale(found.room.left) >= 1
     assert (np.abs(controller.design.K) @ [0.5, 1]).max() <= found.room.left[0]
     printed = StringIO()
-    print_design(Console(width=200, file=printed), spec, controller)
+    print_design(Console(width=200, file=printed), Findings(spec=spec, controller=controller))
     said = " ".join(printed.getvalue().split())
     assert " within the limits" in said.partition("(9)")[0]
     if asked == "rate: 0.5, ":

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.batch.record import inputs
-from pwatrack.batch.work import Done, Ended, Job, Work, refused
+from pwatrack.batch.work import Ended, Job, Work, inputs, refused
 from pwatrack.errors import InvalidSpec
 from pwatrack.remote_files import Found, attempt, carried
 from pwatrack.report.run_folder import Left, left_elsewhere, read_index
@@ -48,36 +47,34 @@ def with_files(files: Mapping[str, Found], function: Callable[..., Any], *argume
         return function(*arguments, **named)
 
 
-def done(work: Work, job: Job, depends: tuple[str, tuple[str, ...]] | None = None) -> Done:
+def done(work: Work, job: Job, depends: tuple[str, tuple[str, ...]] | None = None) -> Ended:
     """Do a job here, where its folder is, or with what it depends on as `inputs` had it elsewhere."""
     start, (key, files) = time.perf_counter(), depends or inputs(job)
-    ended = work(job)
-    return Done(ended=ended, key=key, inputs=files, seconds=time.perf_counter() - start)
+    return replace(work(job), key=key, inputs=files, seconds=time.perf_counter() - start)
 
 
-def send(executor: Executor, work: Work, job: Job) -> "Future[Done]":
+def send(executor: Executor, work: Work, job: Job) -> "Future[Ended]":
     """Hand on a job to whoever can do it without the files of this machine: see `received`."""
     depends, files = inputs(job), packed(job.spec, outside=job.outside)
     return executor.submit(with_files, files, _left, work, job, depends, Left(index=read_index(job.out)))
 
 
-def _left(work: Work, job: Job, depends: tuple[str, tuple[str, ...]], left: Left) -> Done:
+def _left(work: Work, job: Job, depends: tuple[str, tuple[str, ...]], left: Left) -> Ended:
     with left_elsewhere(left):
         return replace(done(work, job, depends), left=left)
 
 
-def received(job: Job, done: Done) -> Done:
+def received(job: Job, ended: Ended) -> Ended:
     """Write what a job left on another machine into its folder, at once, as if it had been done here."""
-    if done.left is None or done.left.files is None:
-        return done
+    if ended.left is None or ended.left.files is None:
+        return ended
     try:
-        done.left.write(job.out)
+        ended.left.write(job.out)
     except InvalidSpec as error:
         code, lines, faults = refused(error)
-        said = "\n".join(filter(None, [done.ended.messages, *lines]))
-        return replace(done, ended=Ended(exit=code, expected=done.ended.expected, messages=said, faults=faults))
-    index = read_index(job.out) or {} if done.ended.index else {}
-    return replace(done, ended=replace(done.ended, index=index))
+        said = "\n".join(filter(None, [ended.messages, *lines]))
+        return replace(ended, exit=code, messages=said, faults=faults, index={})
+    return replace(ended, index=read_index(job.out) or {} if ended.index else {})
 
 
 class Cluster(Executor):
@@ -182,10 +179,7 @@ _TAKING = threading.Lock()
 
 
 def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
-    """Make a call on a worker, in a process of its own; return what came out, as bytes.
-
-    The worker has to have the versions of who asks: others may compute other bits.
-    """
+    """Make a call in a process of a worker that has the versions of who asks: others may compute other bits."""
     if versions() != known:
         other = [(name, here, known.get(name)) for name, here in versions().items() if known.get(name) != here]
         said = ", ".join(f"{name} {here} instead of {there}" for name, here, there in other)

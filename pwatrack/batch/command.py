@@ -1,27 +1,27 @@
-"""A batch as the command line does it: board, table, reports, exit code; reports also of one that is interrupted."""
+"""A batch as the command line does it: how it goes on, table, reports, exit code; also of one that is interrupted."""
 
 import os
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from pwatrack.batch.board import board, print_batch, print_left_out
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
 from pwatrack.batch.cluster import Cluster
 from pwatrack.batch.find import left_out
-from pwatrack.batch.outcomes import SpecOutcome, exit_code
+from pwatrack.batch.outcomes import FIGURES, SpecOutcome, counted, exit_code
 from pwatrack.batch.page import write_page
-from pwatrack.batch.pool import PRELOAD, Pool
 from pwatrack.batch.reports import add_summary, annotations, write_junit, write_lines, write_sarif
-from pwatrack.batch.run import Options, run_batch
-from pwatrack.batch.sweep import Method, draw_sweep, places, sweep, told_of, write_sweep
+from pwatrack.batch.run import Options, Watcher, run_batch
 from pwatrack.batch.work import Work, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
-from pwatrack.spec.axis import axis
 
 Writer = Callable[[Sequence[SpecOutcome], Path], None]
-_LIMIT = 600.0  # s: for a point of a sweep
+_STYLES = {"pass": "green", "cached": "cyan", "skipped": "yellow"}
 WRITERS: dict[str, Writer] = {".xml": write_junit, ".jsonl": write_lines, ".sarif": write_sarif, ".html": write_page}
 
 
@@ -77,54 +77,72 @@ def _report(outcomes: Sequence[SpecOutcome], writers: Sequence[tuple[Writer, Pat
         raise InvalidSpec(*(problem for refusal in refused for problem in refusal.problems))
 
 
-def swept(
-    spec: Path,
-    ranges: Sequence[str],
-    out: Path,
-    *,
-    parameters: Sequence[str],
-    method: Method,
-    count: int,
-    seed: int,
-    simulated: bool,
-    refine: float | None,
-    jobs: int,
-    scheduler: str | None,
-) -> None:
-    """Sweep a spec as the command line does: progress, files, and in the end how many points are proved.
+class Board(Watcher):
+    """Says on a console which specs have ended, and how: use it through `board`."""
 
-    Ranges that are given replace those in the file.
-    """
-    from pwatrack.spec.load import assignments, read_sweep
+    def __init__(self, screen: Console, progress: Progress | None) -> None:
+        self.outcomes = list[SpecOutcome]()
+        self._screen, self._progress, self._total, self._failures = screen, progress, 0, 0
+        self._bar = progress.add_task("specs", total=None, failed="") if progress else None
 
-    fixed = assignments(parameters)
-    axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
-    if not axes:
-        raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file")
-    at = places(axes, method, count, seed)
-    name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
-    with (
-        console(stderr=True).status("Starting") as status,
-        Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,
-    ):
-        points, edges = sweep(
-            spec,
-            axes,
-            executor,
-            at=at,
-            fixed=fixed,
-            simulated=simulated,
-            refine=refine if method == "grid" else None,
-            progress=lambda done, total: status.update(f"{done:,} of {total:,}"),
-        )
-    screen = console()
-    files = write_sweep(out, axes, points, edges)
-    if draw_sweep(out / "sweep.png", f"{name}: {len(points):,} designs", axes, points, edges):
-        files.append(out / "sweep.png")
-    for verdict in dict.fromkeys(point.verdict for point in points):
-        screen.print(f"{sum(point.verdict == verdict for point in points):,} {verdict}")
-    for sentence in told_of(points, edges):
-        screen.print(sentence, soft_wrap=True)
-    if edges and len(axes) > 1:
-        screen.print(f"a kind of proof ends at {len(edges):,} places: boundary.csv has both sides of each")
-    screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)
+    def begins(self, total: int) -> None:
+        """Learn how many specs there are."""
+        self._total = total
+        if self._progress and self._bar is not None:
+            self._progress.update(self._bar, total=total)
+
+    def ended(self, outcome: SpecOutcome) -> None:
+        """Say how one of them ended: at a terminal, cached and skipped ones only move the bar."""
+        self.outcomes.append(outcome)
+        self._failures += outcome.failed
+        done, failures = len(self.outcomes), self._failures
+        if self._progress is None or outcome.how == "run":
+            width = len(str(self._total))
+            verdict = "" if outcome.passed and not outcome.exit else f": {outcome.verdict}"
+            text = f"[{done:{width}}/{self._total}] {outcome.result} {outcome.spec}{verdict}"
+            said = text if outcome.how != "run" else f"{text} ({outcome.seconds:.1f} s)"
+            self._screen.print(said, style=_STYLES.get(outcome.result, "red"), soft_wrap=True)
+        if self._progress and self._bar is not None:
+            self._progress.update(self._bar, completed=done, failed=f"{failures} failed" if failures else "")
+
+
+@contextmanager
+def board(screen: Console) -> Iterator[Board]:
+    """Return a board for a console, with a bar at a terminal until the block ends."""
+    if not screen.is_terminal:
+        yield Board(screen, None)
+        return
+    columns = (TextColumn("specs"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[failed]}", style="red"))
+    with Progress(*columns, TimeElapsedColumn(), console=screen, transient=True) as progress:
+        yield Board(screen, progress)
+
+
+def print_batch(outcomes: Sequence[SpecOutcome]) -> None:
+    """Print the table on stdout, and what failing specs said on stderr."""
+    table = Table()
+    some = ["required"] if any(outcome.required for outcome in outcomes) else []
+    for name in ("spec", "result", "verdict", *some, *FIGURES.values(), "s"):
+        numeric = name in (*some, *FIGURES.values(), "s")
+        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+    for outcome in outcomes:
+        figures = [f"{outcome.figures[key]:.3g}" if key in outcome.figures else "" for key in FIGURES]
+        total = len(outcome.required)
+        met = [f"{total - len(outcome.missed)} of {total}" if total else "" for _ in some]
+        table.add_row(str(outcome.spec), outcome.result, outcome.verdict, *met, *figures, f"{outcome.seconds:.1f}")
+    screen, errors = console(), console(stderr=True)
+    if not screen.is_terminal:
+        screen.width = 140  # a CI log: names stay whole
+    screen.print(table)
+    for outcome in outcomes:
+        for note in (*(f"requirement missed: {text}" for text in outcome.missed), *outcome.notes):
+            screen.print(f"{outcome.spec}: {note}", soft_wrap=True)
+    screen.print(counted(outcomes))
+    for outcome in outcomes:
+        if outcome.failed:
+            errors.print(f"{outcome.spec}: {outcome.ending}\n{outcome.messages}", soft_wrap=True)
+
+
+def print_left_out(left_out: Sequence[tuple[Path, str]]) -> None:
+    """Say on stderr which specs are not run, and why."""
+    for path, reason in left_out:
+        console(stderr=True).print(f"{path}: left out: {reason}", soft_wrap=True)

@@ -13,8 +13,7 @@ _ENDINGS = (".yaml", ".yml")
 def find_specs(paths: Sequence[Path], pattern: str | None = None) -> dict[Path, Path]:
     """Return the specs among files and below folders, in order, each with a folder of its own for its run.
 
-    Below a folder the path of a file, or its name, is like the pattern, as in a shell; without one it ends in .yaml or
-    .yml. Raises InvalidSpec if a path leads nowhere, or there is no spec at all.
+    Below a folder the path of a file, or its name, is like the pattern, as in a shell, or ends in .yaml or .yml.
     """
     found = dict[Path, Path]()
     known = set[Path]()

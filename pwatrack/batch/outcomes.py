@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 
 from pwatrack.batch.work import Ended
 from pwatrack.errors import ExitCode
-from pwatrack.report.annotation import JobFault
+from pwatrack.report.terminal import JobFault
 
 _T = TypeVar("_T")
 _LARGEST = 1e300  # of a figure that is shown

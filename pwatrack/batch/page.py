@@ -11,7 +11,7 @@ from string import Template
 from urllib.parse import quote
 
 from pwatrack.batch.outcomes import FIGURES, SpecOutcome, counted
-from pwatrack.report.document import document, escaped, image
+from pwatrack.report.page import document, escaped, image
 from pwatrack.report.run_folder import PAGE, written_at_once
 
 _TEXTS = ("spec", "result", "verdict")

@@ -129,13 +129,10 @@ class Pool(Executor):
             self._dispatcher.join()
 
     def kill_workers(self) -> None:
-        """Cancel what has not begun, and end all processes: what they are at is lost.
-
-        Where none is there yet nobody waits for the first, which ends as it begins.
-        """
+        """Cancel what has not begun, and end all processes: what they are at is lost."""
         with self._lock:
             self._killing = True
-        self.shutdown(wait=bool(self._workers), cancel_futures=True)
+        self.shutdown(wait=bool(self._workers), cancel_futures=True)  # the first, if it comes yet, ends as it begins
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
@@ -166,19 +163,14 @@ class Pool(Executor):
 
     def _assigned(self) -> bool:
         """Give tasks to processes that have none; return whether there is anything left to wait for."""
-        self._assign()
-        with self._lock:
-            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
-
-    def _assign(self) -> None:
         while True:
             free = next((w for w in self._workers if not w.task and not w.reason), None)
             if free is None and len(self._workers) >= self._jobs:
-                return
+                break
             with self._lock:
                 task = self._waiting.popleft() if self._waiting else None
             if task is None:
-                return
+                break
             if not task.future.set_running_or_notify_cancel():
                 continue
             if free is None:
@@ -188,6 +180,8 @@ class Pool(Executor):
             self._begin(free)
             with suppress(OSError):  # it died meanwhile: seen from its sentinel
                 free.tasks.send_bytes(task.content)
+        with self._lock:
+            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
 
     def _begin(self, worker: _Worker) -> None:
         """Let the time of a task begin, if its process is there to do it."""
@@ -254,7 +248,7 @@ class Pool(Executor):
         worker.said.clear()
         if fine:
             task.future.set_result(answer)
-        elif isinstance(answer, OutOfMemory):
+        elif isinstance(answer, MemoryError):
             worker.reason = str(answer)  # it is replaced: who knows what it still holds
             worker.process.kill()
             task.future.set_exception(Lost(str(answer), seconds=time.monotonic() - worker.begun))
@@ -291,10 +285,6 @@ def _hear(worker: _Worker) -> None:
         while said := os.read(worker.errors.fileno(), _SAID):
             worker.said += said
             del worker.said[:-_SAID]
-
-
-class OutOfMemory(Exception):
-    """A task wanted more memory than it may have."""
 
 
 def serve(tasks: Connection, errors: Connection, memory: float | None, preload: Sequence[str]) -> None:
@@ -340,7 +330,7 @@ def _done(content: bytes, memory: float | None) -> tuple[Any, bool]:
             return function(*positional, **named), True
         except MemoryError:
             said = "out of memory" if memory is None else f"out of memory: it may take {memory:g} MB"
-            return OutOfMemory(said), False
+            return MemoryError(said), False
         except Exception as error:
             return error, False
 

@@ -12,9 +12,8 @@ from urllib.parse import quote
 from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from pwatrack.batch.outcomes import SpecOutcome, counted
-from pwatrack.report.annotation import JobFault, annotated
 from pwatrack.report.run_folder import written_at_once
-from pwatrack.report.terminal import visible
+from pwatrack.report.terminal import JobFault, annotated, visible
 from pwatrack.version import __version__
 
 _CONTROL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # not allowed in XML

@@ -13,8 +13,7 @@ from pwatrack.batch.cluster import done, received, send
 from pwatrack.batch.find import find_specs
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
-from pwatrack.batch.record import recall, remember
-from pwatrack.batch.work import Done, Job, Work, simulate
+from pwatrack.batch.work import Ended, Job, Work, recall, remember, simulate
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import Plots, sweep
 
@@ -97,10 +96,10 @@ def _all(
 
 
 def _worked_off(
-    jobs: Sequence[Job], out: Path, submit: Callable[[Job], "Future[Done]"], options: Options
+    jobs: Sequence[Job], out: Path, submit: Callable[[Job], "Future[Ended]"], options: Options
 ) -> Iterator[SpecOutcome]:
     """Yield the outcomes of jobs as they end; no more are handed on than are soon begun: the rest may be skipped."""
-    waiting, running = deque(jobs), dict[Future[Done], Job]()
+    waiting, running = deque(jobs), dict[Future[Ended], Job]()
     at_once = options.jobs if options.fail_fast else 2 * options.jobs
     while waiting or running:
         while waiting and len(running) < at_once:
@@ -115,11 +114,11 @@ def _worked_off(
             waiting.clear()
 
 
-def _outcome(job: Job, out: Path, future: "Future[Done]") -> SpecOutcome:
+def _outcome(job: Job, out: Path, future: "Future[Ended]") -> SpecOutcome:
     try:
-        ending = received(job, future.result())
-        remember(job, out, ending)
-        return SpecOutcome.of(job.spec, job.out, ending.ended, seconds=ending.seconds)
+        ended = received(job, future.result())
+        remember(job, out, ended)
+        return SpecOutcome.of(job.spec, job.out, ended, seconds=ended.seconds)
     except Lost as lost:
         from pwatrack.spec.load import expected_exit
 

@@ -10,15 +10,15 @@ from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
-from pwatrack.batch.cluster import packed, with_files
-from pwatrack.batch.pool import Lost
+from pwatrack.batch.cluster import Cluster, packed, with_files
+from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import written_at_once
-from pwatrack.report.terminal import told
-from pwatrack.spec.axis import MOST, Axis
+from pwatrack.report.terminal import console, told
+from pwatrack.spec.axis import MOST, Axis, axis
 from pwatrack.spec.requirement import QUANTITIES
 
 Method = Literal["grid", "random", "lhs"]
@@ -26,6 +26,7 @@ PROVED, POLYNOMIAL, PRACTICAL, NONE = "proved", "proved by a polynomial", "pract
 PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
 
 _TOLD = ("rate", "settling_time", "final_error")  # figures of which the best is said
+_LIMIT = 600.0  # s: for a point
 _HALVINGS = 60  # of an interval at most: more than a double has digits
 
 
@@ -67,10 +68,7 @@ class Edge:
 
 
 def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed: int = 1) -> list[dict[str, float]]:
-    """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube.
-
-    Raises InvalidSpec if they are too many, or a parameter varies twice.
-    """
+    """Return the values at which to look: a grid, or drawn at random or as a Latin hypercube; raises InvalidSpec."""
     names = [one.name for one in axes]
     if len(set(names)) < len(names):
         raise InvalidSpec(f"--sweep: {', '.join(names)}: each parameter once")
@@ -156,8 +154,7 @@ def sweep(
     """Look at many places, from `places`, and refine where a kind of proof ends: points and ends, in order.
 
     The executor does `look` and `bisect`, one place at a time, on whatever machine. `refine` is the share of each range
-    within which ends are found, between neighbours of a grid; None: they are not sought. `progress` is told how many
-    places and ends are done, and how many there are.
+    within which ends are found, between neighbours of a grid. `progress` is told how many are done, of how many.
     """
     set_, files = dict(fixed or {}), packed(spec)
     futures = [executor.submit(with_files, files, look, spec, set_, values, simulated=simulated) for values in at]
@@ -293,3 +290,53 @@ def _table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) 
         writer = csv.writer(file)
         writer.writerow(header)
         writer.writerows([repr(v) if isinstance(v, float) else v for v in row] for row in rows)
+
+
+def swept(
+    spec: Path,
+    ranges: Sequence[str],
+    out: Path,
+    *,
+    parameters: Sequence[str],
+    method: Method,
+    count: int,
+    seed: int,
+    simulated: bool,
+    refine: float | None,
+    jobs: int,
+    scheduler: str | None,
+) -> None:
+    """Sweep a spec as the command line does, over given ranges or those of the file."""
+    from pwatrack.spec.load import assignments, read_sweep
+
+    fixed = assignments(parameters)
+    axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
+    if not axes:
+        raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file")
+    at = places(axes, method, count, seed)
+    name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
+    with (
+        console(stderr=True).status("Starting") as status,
+        Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,
+    ):
+        points, edges = sweep(
+            spec,
+            axes,
+            executor,
+            at=at,
+            fixed=fixed,
+            simulated=simulated,
+            refine=refine if method == "grid" else None,
+            progress=lambda done, total: status.update(f"{done:,} of {total:,}"),
+        )
+    screen = console()
+    files = write_sweep(out, axes, points, edges)
+    if draw_sweep(out / "sweep.png", f"{name}: {len(points):,} designs", axes, points, edges):
+        files.append(out / "sweep.png")
+    for verdict in dict.fromkeys(point.verdict for point in points):
+        screen.print(f"{sum(point.verdict == verdict for point in points):,} {verdict}")
+    for sentence in told_of(points, edges):
+        screen.print(sentence, soft_wrap=True)
+    if edges and len(axes) > 1:
+        screen.print(f"a kind of proof ends at {len(edges):,} places: boundary.csv has both sides of each")
+    screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)

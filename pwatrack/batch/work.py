@@ -1,16 +1,21 @@
-"""What a batch asks of a worker, what comes back, and what is done with a spec, in whatever process, on any machine."""
+"""What a batch asks of a worker, in whatever process, on any machine, what comes back, and what it remembers of it."""
 
-import contextlib
+import hashlib
 import io
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr, suppress
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pwatrack.errors import ExitCode, PwatrackError
-from pwatrack.report.annotation import JobFault, faults
-from pwatrack.report.run_folder import Left, Plots, read_index, stamp
-from pwatrack.report.terminal import told
+from pwatrack.errors import ExitCode, InvalidSpec, Place, PwatrackError
+from pwatrack.report.run_folder import INDEX, Left, Plots, read_index, stamp, written_at_once
+from pwatrack.report.terminal import JobFault, faults, told
+from pwatrack.version import versions
+
+_FOLDER = ".batch"
+_FORMAT = "pwatrack batch 1"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,23 +31,16 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How the run of a job ended: its exit code, and the one that the spec expects."""
+    """How the run of a job ended by itself: its exit code, the one that the spec expects, and how long it took."""
 
     exit: int
     expected: int = 0
     messages: str = ""  # what the command line would say on stderr
     faults: tuple[JobFault, ...] = ()  # the same, one by one
     index: Mapping[str, Any] = field(default_factory=dict)  # its run.json; empty if it left none
-
-
-@dataclass(frozen=True, kw_only=True)
-class Done:
-    """A job that has ended by itself, and how long it took."""
-
-    ended: Ended
-    key: str  # a digest of all that it depended on when it began
-    inputs: tuple[str, ...]  # the files that the spec refers to
-    seconds: float
+    key: str = ""  # a digest of all that it depended on when it began
+    inputs: tuple[str, ...] = ()  # the files that the spec refers to
+    seconds: float = 0.0
     left: Left | None = None  # what it left, if that is not in its folder yet
 
 
@@ -54,10 +52,9 @@ def simulate(job: Job) -> Ended:
     from pwatrack.commands.run import run
     from pwatrack.spec.load import expected_exit
 
-    said = io.StringIO()
+    said, before = io.StringIO(), stamp(job.out)
     code, lines, wrong = int(ExitCode.DONE), list[str](), tuple[JobFault, ...]()
-    before = stamp(job.out)
-    with contextlib.redirect_stderr(said):
+    with redirect_stderr(said):
         try:
             run(
                 job.spec,
@@ -87,3 +84,77 @@ def refused(error: Exception) -> tuple[int, list[str], tuple[JobFault, ...]]:
     """Return how a run ends with an exception: its exit code, what the command line says, and what is wrong."""
     code, lines = told(error)
     return int(code), lines, faults(error) if isinstance(error, PwatrackError) else ()
+
+
+def key(job: Job, files: Sequence[Path]) -> str:
+    """Return a digest of all that a run depends on; it is another one where a file is missing."""
+    parts: dict[str, Any] = {
+        "versions": versions(),
+        "spec": str(job.spec),
+        "parameters": job.parameters,
+        "plots": job.plots,
+        "outside": job.outside,
+        "files": [[str(file), _digest(file)] for file in (job.spec, *files)],
+    }
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def inputs(job: Job) -> tuple[str, tuple[str, ...]]:
+    """Return the key of a job that is about to run, and the files that its spec refers to."""
+    from pwatrack.spec.load import referenced_files
+
+    files = referenced_files(job.spec)
+    return key(job, files), tuple(map(str, files))
+
+
+def remember(job: Job, out: Path, ended: Ended) -> None:
+    """Write the record of a run that left a folder, last, so that it is complete; it runs again where that fails."""
+    if not ended.index:
+        return
+    with suppress(OSError, InvalidSpec):
+        stamps = {name: (job.out / name).stat().st_mtime_ns for name in ended.index["files"]}
+        told = {name: getattr(ended, name) for name in ("key", "inputs", "seconds", "exit", "expected", "messages")}
+        wrong = [asdict(fault) for fault in ended.faults]
+        content = {"format": _FORMAT, **told, "index": _digest(job.out / INDEX), "stamps": stamps, "faults": wrong}
+        with written_at_once(_place(job, out)) as temporary:
+            temporary.write_text(json.dumps(content), encoding="utf-8")
+
+
+def recall(job: Job, out: Path) -> Ended | None:
+    """Return how an earlier run ended, if nothing that it depends on or left has changed."""
+    try:
+        record: dict[str, Any] = json.loads(_place(job, out).read_text(encoding="utf-8"))
+        if record["format"] != _FORMAT or record["key"] != key(job, [Path(name) for name in record["inputs"]]):
+            return None
+        index = read_index(job.out)
+        if index is None or record["index"] != _digest(job.out / INDEX) or not _whole(job.out, index, record["stamps"]):
+            return None
+        wrong = tuple(JobFault(**f | {"place": Place(**f["place"]) if f["place"] else None}) for f in record["faults"])
+        return Ended(**{name: record[name] for name in ("exit", "expected", "messages")}, faults=wrong, index=index)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # there is none, or it is not ours
+        return None
+
+
+def _whole(folder: Path, index: Mapping[str, Any], stamps: Mapping[str, int]) -> bool:
+    """Whether all files of a run are as it left them; read only where their time differs."""
+    for name, known in index["files"].items():
+        found = (folder / name).stat()
+        if found.st_size != known["bytes"]:
+            return False
+        if found.st_mtime_ns != stamps.get(name) and _digest(folder / name) != known["sha256"]:
+            return False
+    return True
+
+
+def _place(job: Job, out: Path) -> Path:
+    """Return where the record of a job is: any name of a folder will do."""
+    name = hashlib.sha256(bytes(job.out.relative_to(out))).hexdigest()[:24]
+    return out / _FOLDER / f"{name}.json"
+
+
+def _digest(file: Path) -> str | None:
+    with suppress(OSError, ValueError):  # ValueError: a path with a null character
+        if file.is_file():
+            with file.open("rb") as content:
+                return hashlib.file_digest(content, "sha256").hexdigest()
+    return None

@@ -22,10 +22,9 @@ from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
-from pwatrack.report.files import missed
 from pwatrack.report.kept_spec import load, spec_of
-from pwatrack.report.required import required
 from pwatrack.report.run_folder import json_text, read_index
+from pwatrack.report.screen import Findings
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow import pipeline
@@ -81,8 +80,7 @@ class ExportTask:
 def export(to: str, task: ExportTask, out: Path, *, single: bool) -> list[str]:
     """Write a controller in one of `LANGUAGES` to a folder, and return the names of the files.
 
-    Raises InvalidSpec if what is exported has no sample time, or cannot be read or written; CheckFailed if it is not
-    proved or its run failed, unless that is exported, too.
+    Raises InvalidSpec if it has no sample time, or CheckFailed if it is not proved or failed, unless that is exported.
     """
     subject = subject_of(task)
     code = subject.source(prefix(task.name or subject.file.name), single=single, given=task.given)
@@ -115,10 +113,7 @@ def subject_of(task: ExportTask) -> Subject:
 
 
 def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, steps: int = _STEPS) -> Subject:
-    """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it.
-
-    Raises whatever design and simulation raise, and InvalidSpec if it has no sample time.
-    """
+    """Design what a spec asks for, simulate so many steps of it, all of it where it requires something; return it."""
     conditions = spec.scenario.conditions
     if sample_time is not None:
         sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
@@ -127,9 +122,8 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
     found = _simulated(spec, controller, None, given, steps)
     if not spec.requirements:
         return found
-    result = pipeline.simulate(spec, controller)
-    failed = missed(required(spec, controller, result), result)
-    told = found.file.model_dump() | {"failed": failed}
+    came = Findings(spec=spec, controller=controller, result=pipeline.simulate(spec, controller))
+    told = found.file.model_dump() | {"failed": came.missed}
     return replace(found, file=parsed(told | {"sha256": digest(told)}, spec.path))
 
 
@@ -202,10 +196,7 @@ def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
 
 
 def certify(path: Path, out: Path) -> list[str]:
-    """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files.
-
-    Raises as `verify`, and InvalidSpec if nothing in it is of the kind that the theory speaks of.
-    """
+    """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files."""
     from pwatrack.export.coq import development
     from pwatrack.lmi.audit.reading import parsed as certificate_content
 

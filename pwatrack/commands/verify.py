@@ -31,9 +31,7 @@ from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
 from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.headroom import room_within_limits
-from pwatrack.workflow.pipeline import asked_of
-from pwatrack.workflow.set_points import demand_of
+from pwatrack.workflow.pipeline import asked
 from pwatrack.workflow.simplified import merged_spec
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import desired_trajectory
@@ -90,10 +88,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
 
 
 def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
-    """Return the design that an audited certificate tells, with the plant and the reference of a spec.
-
-    Raises ValueError if gains or elements do not fit to the spec, and as `desired_trajectory`.
-    """
+    """Return the design that an audited certificate tells, or raise ValueError where it does not fit the spec."""
     true = spec.problem.plant
     spec = _merged_as_told(spec, content)
     form = output_form(spec, content["generator"]["directions"]) if content["generator"] else None
@@ -103,9 +98,8 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
     for proof in proofs:
         if isinstance(proof, Dichotomy) and generator is not None:
             generator = replace(generator, certificate=proof)
-    cheaper = content.get("K_of_least_cost")
     K, L = (doubles(content[name]) for name in ("K", "L"))
-    cheaper = None if cheaper is None else doubles(cheaper)
+    cheaper = None if (least := content.get("K_of_least_cost")) is None else doubles(least)
     controller = ProvedController(
         plant=plant,
         running=plant if content["practical"] is None else true,
@@ -115,9 +109,7 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),
         sizes=spec_sizes(spec),
     )
-    taken = demand_of(spec, trajectory, generator, content)
-    room = room_within_limits(spec, trajectory, generator, controller.sizes, taken)
-    return read(content, controller, asked_of(spec, room, controller, taken))
+    return read(content, controller, asked(spec, controller, content))
 
 
 def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:

@@ -15,9 +15,8 @@ from pwatrack.export.fmu import Model, ModelVariable
 from pwatrack.export.source import Source, reference_unit, said, template
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.tables import taylor, unit
-from pwatrack.spec.spec import Spec
-from pwatrack.workflow.starting import plant_start
-from pwatrack.workflow.tracking import desired_trajectory
+from pwatrack.spec.spec import Spec, Steady
+from pwatrack.workflow.tracking import desired_trajectory, plant_start
 
 _ORDER = (
     "At each step: set the inputs, step it, hand its outputs over, then step the plant. To step both at once, give the "
@@ -204,7 +203,7 @@ def _plant_variables(
     spec: Spec, plant: PWASystem, inputs: Sequence[ModelVariable], outputs: Iterable[str]
 ) -> list[ModelVariable]:
     start, units = spec.scenario.initial.plant, spec.problem.units
-    if isinstance(start, str):
+    if isinstance(start, Steady):
         trajectory, generator = desired_trajectory(spec, False)
         start = plant_start(spec, trajectory, generator, trajectory.eta0)
     start = np.zeros(len(plant.states)) if start is None else np.asarray(start, dtype=np.float64)

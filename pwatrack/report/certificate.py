@@ -6,18 +6,11 @@ from typing import Any
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import SignalBounds, bound_entry
-from pwatrack.claims.exact_text import (
-    decimal,
-    decimal_texts,
-    elements_content,
-    form_content,
-    packed,
-    plant_content,
-)
+from pwatrack.claims.exact_text import decimal, decimal_texts, elements_content, form_content, packed, plant_content
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import STATEMENT, data
 from pwatrack.claims.robust import Robust
-from pwatrack.control.compensation import Compensation, compensation
+from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Given
@@ -29,7 +22,7 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.simplified import merged_spec
-from pwatrack.workflow.sizing import spec_form
+from pwatrack.workflow.tracking import spec_form
 
 
 def design_certificate(spec: Spec, controller: ProvedController) -> dict[str, Any]:
@@ -60,11 +53,8 @@ def subject_content(
 ) -> dict[str, Any]:
     """Return the part of either that the spec alone decides: what is proved something of.
 
-    Args:
-        spec: What was asked.
-        directions: Of the inputs, where they are given: see `NormalForm`.
-        listed: Whether all cells are listed, also those of nonlinearities: what is not affine in A_i needs them.
-        form: The normal form of the spec, if it is known already.
+    `listed`: all cells are, also those of nonlinearities: what is not affine in A_i needs them. The normal form is that
+    of the spec, if it is known already; of given directions of the inputs else: see `NormalForm`.
     """
     if form is None and spec.problem.tracking == "output":
         form = output_form(spec, directions)
@@ -81,8 +71,7 @@ def subject_content(
 def output_form(spec: Spec, directions: Any = None) -> NormalForm:
     """Return the normal form of a spec, for directions of the inputs as a certificate has them, or those of a design.
 
-    Raises:
-        ValueError: If these are not of its shape.
+    Raises ValueError if these are not of its shape.
     """
     plant = spec.problem.plant
     if directions is None:
@@ -96,6 +85,10 @@ def output_form(spec: Spec, directions: Any = None) -> NormalForm:
 def generator_content(generator: TrajectoryGenerator) -> dict[str, Any]:
     """Return the content of generator.json: (15) and (16) in doubles."""
     form, shift, loads = generator.form, generator.shift, generator.form.plant.loads
+    told = None
+    if loads is not None:
+        added = compensation(form.plant, form, len(form.eta_names), played_back=generator.played_back)
+        told = loads_content(loads, added)
     return {
         "relative_degrees": list(form.degrees),
         "eta": list(form.eta_names),
@@ -110,13 +103,8 @@ def generator_content(generator: TrajectoryGenerator) -> dict[str, Any]:
         "gamma": form.gamma.tolist(),
         "right_inverse": form.right_inverse.tolist(),
         "shift": None if shift is None else shift.tolist(),
-        "loads": None if loads is None else loads_content(loads, _added(generator)),
+        "loads": told,
     }
-
-
-def _added(generator: TrajectoryGenerator) -> Compensation:
-    form = generator.form
-    return compensation(form.plant, form, len(form.eta_names), played_back=generator.played_back)
 
 
 def bound_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:

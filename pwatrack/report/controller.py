@@ -13,8 +13,8 @@ from pwatrack.report.certificate import design_certificate, generator_content
 from pwatrack.report.run_folder import json_text
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.pipeline import start_of
-from pwatrack.workflow.result import SimulatedLoop
 
 
 class Written(NamedTuple):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 from pwatrack.interruption import as_ended
@@ -9,7 +10,7 @@ from pwatrack.interruption import as_ended
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pwatrack.workflow.result import SimulatedLoop
+    from pwatrack.workflow.outcome import SimulatedLoop
 
 PROCESSES = 2  # that share the pictures
 _SHARES = tuple(slice(k, None, PROCESSES) for k in range(PROCESSES))  # the largest pictures are the first
@@ -25,16 +26,11 @@ class Picture(NamedTuple):
 def prepare(executor: Executor) -> None:
     """Let the processes that will draw begin, and import what that takes."""
     for _ in _SHARES:
-        executor.submit(_ready)
+        executor.submit(import_module, "pwatrack.report.plots.pictures")
 
 
 def begin(result: "SimulatedLoop", executor: Executor | None) -> Callable[[], dict[str, Picture]]:
-    """Begin to draw the pictures of a run, and return what waits for them, by name.
-
-    Args:
-        result: What is drawn. One that is partly on disk is not sent elsewhere.
-        executor: Who draws, in other processes; where they fail, and without one, it is done here.
-    """
+    """Begin to draw in other processes; return what waits for it, and draws here what they could not."""
     if executor is None or result.spool is not None:
         return lambda: drawn(slice(None), result)
     begun = {executor.submit(drawn, share, result): share for share in _SHARES}
@@ -60,7 +56,3 @@ def picture(figure: "Figure") -> Picture:
     from pwatrack.report.plots.canvas import png, svg
 
     return Picture(png(figure), svg(figure))
-
-
-def _ready() -> None:
-    import pwatrack.report.plots.pictures  # noqa: F401

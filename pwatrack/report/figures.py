@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from math import degrees, isfinite
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,11 @@ from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
-from pwatrack.simulation.margins import Margins
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.requirement import RANGES
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
@@ -87,35 +85,13 @@ def ensemble_measures(many: EnsembleResult) -> dict[str, Any]:
 
 
 def member_figures(many: EnsembleResult) -> dict[str, Array]:
-    """Return the figures of each member that are of interest side by side, (M,); NaN where it has none.
-
-    Those of signals have the name of the signal in theirs: `settling_time_y`. What no member has is left out.
-    """
+    """Return the figures of each member, (M,), those of signals as `settling_time_y`; NaN where it has none."""
     columns = {name: np.array([getattr(f, name) for f in many.figures]) for name in ("largest_error", "final_error")}
     for name in ("settling_time", "rise_time", "overshoot", "largest_input"):
         found: list[Mapping[str, float]] = [getattr(figures, name) for figures in many.figures]
         for signal in dict.fromkeys(signal for values in found for signal in values):
             columns[f"{name}_{signal}"] = np.array([values.get(signal, np.nan) for values in found])
     return columns
-
-
-def margin_content(one: Margins) -> dict[str, Any]:
-    """Return the margins of a cell at an input as run.json has them, from 1; what nothing ends is None."""
-    ends = [v if isfinite(v) else None for v in (*one.gain, degrees(one.phase), one.delay, one.crossover)]
-    margins = {"gain": ends[:2], "phase": ends[2], "delay": ends[3], "crossover": ends[4]}
-    return {"cell": one.cell + 1, "input": one.input + 1, **margins}
-
-
-def size_content(controller: ProvedController) -> dict[str, dict[str, float]]:
-    """Return the sizes that the gains were weighed with; those of estimates stand behind those of the states."""
-    plant, sizes = controller.plant, controller.sizes
-    loads = () if plant.loads is None else plant.loads.each
-    estimates = [load.name + "'" * k for load in loads for k in range(load.order)]  # a sinusoid has two
-    return {
-        "states": dict(zip([*plant.states, *estimates], [*sizes.state.tolist(), *sizes.load.tolist()], strict=True)),
-        "inputs": dict(zip(plant.inputs, sizes.input.tolist(), strict=True)),
-        "outputs": dict(zip(plant.outputs, sizes.output.tolist(), strict=True)),
-    }
 
 
 def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:
@@ -138,16 +114,9 @@ def design_remarks(spec: Spec, controller: ProvedController) -> list[str]:
     return [*controller.plant.remarks, *reference_remarks(spec, controller.form), *of_run]
 
 
-def error_unit(spec: Spec, controller: ProvedController) -> str:
-    """Return the unit of the norm of the tracking error: of several entries it is in sizes."""
-    names = controller.error_names
+def norm_unit(spec: Spec, names: Sequence[str]) -> str:
+    """Return the unit of the norm of some signals: of several it is in sizes."""
     return spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
-
-
-def states_unit(spec: Spec) -> str:
-    """Return the unit of a norm of all states: of several it is in sizes."""
-    states = spec.problem.plant.states
-    return spec.problem.units.get(states[0], "") if len(states) == 1 else "sizes"
 
 
 def percent(share: float) -> str:

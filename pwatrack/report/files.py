@@ -4,6 +4,7 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from pwatrack.claims.cost import Costs
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.registry import figures
 from pwatrack.claims.robust import Robust
-from pwatrack.control.controller import ProvedController, Row
+from pwatrack.control.controller import ProvedController
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.lmi.infeasibility import Impossibility
@@ -25,30 +26,28 @@ from pwatrack.report.drawing import Picture, begin, picture
 from pwatrack.report.figures import (
     design_remarks,
     ensemble_measures,
-    error_unit,
     figure_content,
     load_content,
-    margin_content,
     measures,
     member_figures,
-    size_content,
+    norm_unit,
 )
-from pwatrack.report.first_rows import first_rows
 from pwatrack.report.kept_spec import keep
 from pwatrack.report.page import page
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
-from pwatrack.report.required import Checked, required
+from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import PAGE, REFUSAL, SUMMARY, Plots, RunFolder, run_folder
+from pwatrack.report.screen import Findings, first_rows
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.layout import Actuator, RateLimit
+from pwatrack.simulation.margins import Margins
 from pwatrack.simulation.trace import Trace
 from pwatrack.spec.load import spec_bytes
 from pwatrack.spec.spec import Spec
 from pwatrack.version import versions
-from pwatrack.workflow.cautions import Assessment, assessed
-from pwatrack.workflow.how_far import HowFar, LargestBox
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.how_far import HowFar
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 Effort = Mapping[str, Mapping[str, float]]  # what a run took: `seconds` by step, programs `answered` by solver
@@ -57,35 +56,8 @@ _ROWS = 10_000  # that are turned to text at a time
 _NONE: Effort = {"seconds": {}, "answered": {}}  # an effort that nobody measured
 
 
-def write_design(
-    spec: Spec,
-    controller: ProvedController,
-    folder: str | Path,
-    *,
-    fronts: Sequence[Front] = (),
-    largest: LargestBox | None = None,
-    broken: PwatrackError | None = None,
-    effort: Effort = _NONE,
-    assessment: Assessment | None = None,
-    summary: str | None = None,
-) -> Path:
-    """Write gains, certificate, bounds, generator, controller and run.json, and for fronts pareto.csv and pareto.png.
-
-    Args:
-        spec: What was asked.
-        controller: What `design(spec)` returned.
-        folder: Made if it does not exist; an earlier run in it is replaced, other files stay.
-        fronts: What `pareto` returned for controller and observer.
-        broken: Why a simulation of it broke off, if it did.
-        effort: What it took, for run.json; what is proved while files are written is counted too.
-        assessment: That of `workflow.cautions`, whose warnings and margins are for run.json.
-        summary: What `report.summary` says of it, for summary.txt.
-
-    Returns:
-        The folder.
-
-    Raises:
-        InvalidSpec: If the folder cannot be written; nothing is changed then.
+def write_design(spec: Spec, controller: ProvedController, folder: str | Path) -> Path:
+    """Write the files of a design: see `write`.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -94,48 +66,11 @@ def write_design(
         >>> sorted(path.name for path in write_design(spec, design(spec), mkdtemp()).iterdir())[:3]
         ['bounds.json', 'certificate.json', 'controller.json']
     """
-    checked = required(spec, controller)
-    said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
-    why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
-    with run_folder(folder) as run:
-        _design_files(run, spec, controller, known_start(spec, controller), [*missed(checked), *why])
-        if fronts:
-            _fronts(run, spec, fronts)
-        index = _index(spec, effort) | proved_content(spec, controller)
-        index |= {"remarks": design_remarks(spec, controller)} | _requirements(checked)
-        _summary(run, index, assessment, summary)
-        if largest is not None:
-            index["largest_box"] = largest_content(largest)
-        if broken is not None:
-            index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
-        run.commit(index)
-    return Path(folder)
+    return write(Findings(spec=spec, controller=controller), folder)
 
 
-def write_result(
-    result: SimulatedLoop,
-    folder: str | Path,
-    *,
-    many: EnsembleResult | None = None,
-    effort: Effort = _NONE,
-    assessment: Assessment | None = None,
-    summary: str | None = None,
-    first: Sequence[Row] | None = None,
-    plots: Plots = "all",
-    executor: Executor | None = None,
-) -> Path:
-    """Write the files of `write_design` and trace.csv, events.csv, the plots, and report.html with these.
-
-    Args:
-        result: What `simulate(spec)` returned.
-        folder: As for `write_design`.
-        many: What `ensemble(result, …)` returned, for ensemble.csv and ensemble.png.
-        effort, assessment, summary: As for `write_design`.
-        first: What the first screen says, for report.html; worked out where it is not given.
-        plots: Whether pictures and the page are made, or only if the run does not end as its spec expects.
-        executor: Who draws them, but for ensemble.png, in other processes while tables are written.
-
-    Returns and raises: as `write_design`.
+def write_result(result: SimulatedLoop, folder: str | Path, *, many: EnsembleResult | None = None, **how: Any) -> Path:
+    """Write the files of a run, and of its ensemble: see `write`.
 
     Example:
         >>> from tempfile import mkdtemp
@@ -144,51 +79,87 @@ def write_result(
         >>> (write_result(result, mkdtemp(), plots="none") / "trace.csv").is_file()
         True
     """
-    code = ExitCode.CHECK_FAILED if many and many.failed else result.outcome.code
-    index = _index(result.spec, effort) | {"exit": int(code)} | _result_content(result)
-    if many:
-        index["ensemble"] = ensemble_measures(many)
-    checked = required(result.spec, result.controller, result, many)
-    index |= _requirements(checked)
+    return write(Findings(spec=result.spec, controller=result.controller, result=result, many=many), folder, **how)
+
+
+def write(
+    found: Findings,
+    folder: str | Path,
+    *,
+    fronts: Sequence[Front] = (),
+    broken: PwatrackError | None = None,
+    effort: Effort = _NONE,
+    warned: bool = False,
+    summary: str | None = None,
+    plots: Plots = "all",
+    executor: Executor | None = None,
+) -> Path:
+    """Write all files of a design, and those of its run and ensemble; return the folder, which is made.
+
+    An earlier run in it is replaced, other files stay; raises InvalidSpec, with nothing changed, if that cannot be.
+
+    Args:
+        found, fronts: What came out, and what `pareto` returned for controller and observer.
+        broken: Why a simulation broke off, if it did.
+        effort, warned: What it took, and whether warnings and margins are told, too: for run.json.
+        summary: For summary.txt.
+        plots, executor: Whether pictures and the page are made, or only if the run does not end as its spec expects;
+            who draws them, but for ensemble.png, in other processes while tables are written.
+    """
+    spec, result = found.spec, found.result
+    controller = found.controller if result is None else result.controller
+    start = known_start(spec, controller) if result is None else starts(result)
+    index = _index(spec, effort) | proved_content(spec, controller)
+    index |= {"remarks": design_remarks(spec, controller)} if result is None else _result_content(result, index)
+    if found.many:
+        index["ensemble"] = ensemble_measures(found.many)
+    if found.missed:
+        index["exit"] = int(ExitCode.CHECK_FAILED)
+    if found.checked:
+        index["requirements"] = [each.content for each in found.checked]
+    said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
+    why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
     with run_folder(folder) as run:
-        certificate = _design_files(run, result.spec, result.controller, starts(result), missed(checked, result, many))
-        wanted = plots == "all" or (plots == "failed" and index["exit"] != result.spec.expected_exit)
-        pictures = begin(result, executor) if wanted else dict[str, Picture]
-        _signals(run, result)
-        fan = _ensemble(run, many, checked, drawn=wanted) if many else {}
-        drawn = {**fan, **pictures()}
-        for name, each in drawn.items():
-            run.place(f"{name}.png").write_bytes(each.png)
-        if wanted:
-            said = _first(result, checked, many) if first is None else first
-            sharp = {name: each.svg for name, each in drawn.items()}
-            run.text(PAGE, page(result, said, sharp, certificate=certificate, summary=summary))
-        _summary(run, index, assessment, summary)
+        certificate = _design_files(run, spec, controller, start, [*found.missed, *why])
+        if fronts:
+            _fronts(run, spec, fronts)
+        if result is not None:
+            wanted = plots == "all" or (plots == "failed" and index["exit"] != spec.expected_exit)
+            pictures = _run_files(run, found, result, executor, drawn=wanted)
+            if wanted:
+                first = list(first_rows(found))
+                run.text(PAGE, page(result, first, pictures, certificate=certificate, summary=summary))
+        if warned:
+            index |= {"warnings": list(found.assessment.warnings), "questions": list(found.assessment.questions)}
+            index["margins"] = [_margin_content(one) for one in found.assessment.margins]
+        if summary is not None:
+            run.text(SUMMARY, summary)
+        if found.largest is not None:
+            index["largest_box"] = largest_content(found.largest)
+        if broken is not None:
+            index |= {"simulation": {"outcome": "broken off", "said": said}, "exit": int(broken.code)}
         run.commit(index)
     return Path(folder)
 
 
-def _first(result: SimulatedLoop, checked: Sequence[Checked], many: EnsembleResult | None) -> list[Row]:
-    """Work out what the first screen says of a run."""
-    spec, controller = result.spec, result.controller
-    return [*first_rows(spec, controller, assessed(spec, controller), checked=checked, result=result, many=many)]
+def _run_files(
+    run: RunFolder, found: Findings, result: SimulatedLoop, executor: Executor | None, *, drawn: bool
+) -> dict[str, str]:
+    """Write what a run leaves beside its design, and return its pictures as SVG files, by name."""
+    pictures = begin(result, executor) if drawn else dict[str, Picture]
+    _signals(run, result)
+    fan = _ensemble(run, found.many, found.checked, drawn=drawn) if found.many else {}
+    every = {**fan, **pictures()}
+    for name, each in every.items():
+        run.place(f"{name}.png").write_bytes(each.png)
+    return {name: each.svg for name, each in every.items()}
 
 
-def _summary(run: RunFolder, index: dict[str, Any], assessment: Assessment | None, summary: str | None) -> None:
-    """Add what is for people, where it is there: margins are of each cell by itself, in the plant's own order."""
-    if assessment is not None:
-        told = {"warnings": list(assessment.warnings), "questions": list(assessment.questions)}
-        index |= told | {"margins": [margin_content(one) for one in assessment.margins]}
-    if summary is not None:
-        run.text(SUMMARY, summary)
-
-
-def _result_content(result: SimulatedLoop) -> dict[str, Any]:
-    """Return what the index says of a simulation."""
-    proved = proved_content(result.spec, result.controller)
+def _result_content(result: SimulatedLoop, proved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the index says of a simulation, beside what is proved."""
     # of what goes to 0: what each column that has a desired value counts in
     sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
-    content: dict[str, Any] = proved | {
+    content: dict[str, Any] = {
         "figures": proved["figures"] | figure_content(measures(result)),
         "simulation": {
             "outcome": result.outcome.kind,
@@ -199,26 +170,11 @@ def _result_content(result: SimulatedLoop) -> dict[str, Any]:
         "conditions": result.loop.conditions.texts(result.spec.problem.plant),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
-        "tracked": {"sizes": sizes, "unit": error_unit(result.spec, result.controller)},
+        "tracked": {"sizes": sizes, "unit": norm_unit(result.spec, result.controller.error_names)},
     }
     for robust in result.controller.claims_of(Robust) if result.w is not None else ():
-        content["uncertain"] |= {"along_x_d": box_figures(result, robust)}
+        content["uncertain"] = proved["uncertain"] | {"along_x_d": box_figures(result, robust)}
     return content
-
-
-def _requirements(checked: Sequence[Checked]) -> dict[str, Any]:
-    """Return what the index says of requirements; one that is missed is a check that failed."""
-    missed = {"exit": int(ExitCode.CHECK_FAILED)} if not all(each.met for each in checked) else {}
-    return missed | ({"requirements": [each.content for each in checked]} if checked else {})
-
-
-def missed(
-    checked: Sequence[Checked], result: SimulatedLoop | None = None, many: EnsembleResult | None = None
-) -> list[str]:
-    """Return what a run, or its ensemble, did not achieve, in sentences; [] where it ends with exit 0."""
-    found = [each.text for each in checked if not each.met]
-    found += [result.outcome.text] if result is not None and result.outcome.code else []
-    return found + ([many.failure] if many is not None and many.failed else [])
 
 
 def _design_files(
@@ -255,8 +211,27 @@ def proved_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         "parameters": dict(spec.parameters),
         "verdict": "proved",
         "solver": spec.objectives.solver,
-        "sizes": size_content(controller),
+        "sizes": _size_content(controller),
         **figures(spec.words, controller),
+    }
+
+
+def _margin_content(one: Margins) -> dict[str, Any]:
+    """Return the margins of a cell at an input as run.json has them, from 1; what nothing ends is None."""
+    ends = [v if isfinite(v) else None for v in (*one.gain, degrees(one.phase), one.delay, one.crossover)]
+    margins = {"gain": ends[:2], "phase": ends[2], "delay": ends[3], "crossover": ends[4]}
+    return {"cell": one.cell + 1, "input": one.input + 1, **margins}
+
+
+def _size_content(controller: ProvedController) -> dict[str, dict[str, float]]:
+    """Return the sizes that the gains were weighed with; those of estimates stand behind those of the states."""
+    plant, sizes = controller.plant, controller.sizes
+    loads = () if plant.loads is None else plant.loads.each
+    estimates = [load.name + "'" * k for load in loads for k in range(load.order)]  # a sinusoid has two
+    return {
+        "states": dict(zip([*plant.states, *estimates], [*sizes.state.tolist(), *sizes.load.tolist()], strict=True)),
+        "inputs": dict(zip(plant.inputs, sizes.input.tolist(), strict=True)),
+        "outputs": dict(zip(plant.outputs, sizes.output.tolist(), strict=True)),
     }
 
 
@@ -272,20 +247,8 @@ def write_refusal(
 ) -> bool:
     """Write run.json with the verdict and its reasons, and refusal.json where there is a proof.
 
-    Args:
-        refusal: What was raised.
-        folder: As for `write_design`.
-        path: The spec file.
-        parameters: What was set from outside the file.
-        spec: Its content, if it could be read.
-        effort: As for `write_design`.
-        far: How far away it is, if that was looked for.
-
-    Returns:
-        Whether there is a proof.
-
-    Raises:
-        InvalidSpec: If the folder cannot be written; nothing is changed then.
+    Return whether there is a proof. The spec is there if its file, at `path`, could be read, and `far` if it was looked
+    for how far away it is; the rest is as for `write`.
     """
     proof = None
     if spec is None:
@@ -405,10 +368,7 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
 
 
 def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], *, drawn: bool) -> dict[str, Picture]:
-    """Write a row for each member, and return the picture of all, by name.
-
-    A time that never comes, and a figure that a member has not, are empty.
-    """
+    """Write a row for each member, empty where it has no figure, and return the picture of all, by name."""
     kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
     header, rows = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
     with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:

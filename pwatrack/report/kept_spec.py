@@ -37,11 +37,7 @@ def spec_text(spec: Spec) -> bytes | None:
 
 
 def load(path: Path, parameters: Mapping[str, float | str]) -> Spec:
-    """Return the spec of a file, with the tables of its run where it is the copy that a run keeps.
-
-    Raises:
-        PwatrackError: As `load_spec`.
-    """
+    """Return the spec of a file, with the tables of its run where it is the copy that a run keeps."""
     if path.name not in (SPEC, WRITTEN) or not _tables(path):
         return load_spec(path, parameters)
     known = {str(path): attempt(lambda: spec_bytes(path))}
@@ -51,23 +47,18 @@ def load(path: Path, parameters: Mapping[str, float | str]) -> Spec:
 
 
 def spec_of(index: Mapping[str, Any], folder: Path, sha256: str) -> tuple[Path | None, str]:
-    """Return the spec that a run in a folder was made from, and what is to be said of the file that it was read from.
+    """Return the spec of these bytes that a run in a folder was made from, and what is to be said of the file it was.
 
     The folder's own copy is what it was made from, if that is as it was and has its tables. Next comes the file of the
     name that the index has, from here, then from the folder of the run and those that it is in: the first one of these
     bytes, or else the first one that is there, which has others.
-
-    Args:
-        index: What run.json holds.
-        folder: Where it is.
-        sha256: Of the spec, as certificate.json or controller.json has it.
     """
     name = Path(str(index.get("spec", "")))
     own = [folder / (WRITTEN if name == Path(WRITTEN) else SPEC)]
     own = [copy for copy in own if copy.is_file() and all(table.is_file() for table in _tables(copy).values())]
     read = [place for place in (name, *(above / name for above in folder.resolve().parents)) if place.is_file()]
     read = [] if name == Path(WRITTEN) else read
-    same = [place for place in (*own, *read) if _digest(place) == sha256]
+    same = [place for place in (*own, *read) if hashlib.sha256(place.read_bytes()).hexdigest() == sha256]
     found = next(iter([*same, *own, *read]), None)
     changed = found in own and bool(read) and not {*same} & {*read}
     return found, f"{read[0]} has other bytes than the spec it was made for, and was not looked at" if changed else ""
@@ -89,8 +80,3 @@ def _table(k: int) -> str:
 def _content(table: Path, *, outside: bool = False) -> bytes:
     folder = Folder(path=table.parent, outside=outside)
     return content(table, lambda: table_content(table, folder))
-
-
-def _digest(file: Path) -> str:
-    with file.open("rb") as found:
-        return hashlib.file_digest(found, "sha256").hexdigest()

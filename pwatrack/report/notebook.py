@@ -1,19 +1,14 @@
 """How a design, a run or an ensemble shows itself in a notebook: first screen, pictures, signals as a table."""
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from pwatrack.control.controller import ProvedController, Row
 from pwatrack.errors import InvalidSpec
-from pwatrack.report.first_rows import first_rows
 from pwatrack.report.required import required
-from pwatrack.report.screen import joined
-from pwatrack.spec.spec import Spec
-from pwatrack.workflow.cautions import assessed
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.report.screen import Findings, first_rows, joined
 from pwatrack.workflow.variation import EnsembleResult
 
 if TYPE_CHECKING:
@@ -47,30 +42,27 @@ def _picture(name: str, figure: "Figure") -> str:
     return f'<img alt="{escape(name)}" style="max-width:48em;width:100%" src="data:image/png;base64,{data}">'
 
 
-def html(
-    spec: Spec, controller: ProvedController, result: SimulatedLoop | None = None, many: EnsembleResult | None = None
-) -> str:
+def html(found: Findings) -> str:
     """Return the first screen of a design, a run or an ensemble as a table, and how its error goes as a picture.
 
     Example:
         >>> from pwatrack import design, load_spec
         >>> made = design(load_spec("specs/two_mass_paper_gains.yaml"))
-        >>> "error to 0 from every start" in html(made.spec, made)
+        >>> "error to 0 from every start" in html(Findings(spec=made.spec, controller=made))
         True
     """
-    checked = required(spec, controller, result, many)
-    came: dict[str, Any] = {"checked": checked, "result": result, "many": many}
-    rows: Sequence[Row] = joined(first_rows(spec, controller, assessed(spec, controller), **came))
     lines = (
         f'<tr><th style="{_LEFT}">{escape(label)}</th><td style="{_LEFT}">{escape(text)}</td></tr>'
-        for label, text in rows
+        for label, text in joined(first_rows(found))
     )
-    table = f'<table style="max-width:60em"><caption>{escape(spec.name)}</caption>{"".join(lines)}</table>'
-    if result is None:
+    table = f'<table style="max-width:60em"><caption>{escape(found.spec.name)}</caption>{"".join(lines)}</table>'
+    if found.result is None:
         return table
-    from pwatrack.report.plots.errors import tracking_error
+    from pwatrack.report.plots.signals import tracking_error
 
-    return table + _picture("tracking error", tracking_error(result) if many is None else spread(many))
+    return table + _picture(
+        "tracking error", tracking_error(found.result) if found.many is None else spread(found.many)
+    )
 
 
 def spread(many: EnsembleResult) -> "Figure":
@@ -81,11 +73,7 @@ def spread(many: EnsembleResult) -> "Figure":
 
 
 def frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
-    """Return columns as a table of pandas, by time or by member.
-
-    Raises:
-        InvalidSpec: If pandas is not installed.
-    """
+    """Return columns as a table of pandas, by time or by member; raises InvalidSpec if that is not installed."""
     try:
         pandas = import_module("pandas")
     except ImportError:

@@ -1,19 +1,23 @@
-"""The page of a run: the first screen, pictures, which cells it was in, and each claim with how to check it."""
+"""Pages in HTML that need nothing else; that of a run: first screen, pictures, cells, and each claim with its check."""
 
+import base64
+import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from string import Template
 from typing import Any
+from urllib.parse import quote
 
 from pwatrack.control.controller import Row
-from pwatrack.report.document import document, escaped, image
 from pwatrack.report.figures import percent
 from pwatrack.report.kept_spec import spec_text
 from pwatrack.report.run_folder import SUMMARY, json_text
 from pwatrack.report.screen import joined
 from pwatrack.report.stays import Stay, stays
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.report.terminal import visible
+from pwatrack.version import __version__
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _FIRST = ("outputs", "tracking_error", "input", "ensemble")  # of the pictures; then by name
 _WIDTH, _LEAST = 1000, 0.5  # dots of a row of bars, and of a bar
@@ -22,6 +26,7 @@ _CHECK = (
     "To check it: <code>pwatrack verify</code> with the folder of this run decides it again from certificate.json, "
     "{keys}; so does <code>python audit certificate.json</code>, a copy of the folder pwatrack/lmi/audit alone."
 )
+_PLAIN = " <>=:/;,.()'!?-_@+*[]{}"  # letters that may stand in the address of a picture as they are
 
 
 def page(
@@ -32,15 +37,7 @@ def page(
     certificate: str,
     summary: str | None = None,
 ) -> str:
-    """Return the page of a run, which needs no other file and no network.
-
-    Args:
-        result: The run.
-        first: What the first screen says.
-        pictures: SVG files by name.
-        certificate: The text of certificate.json.
-        summary: That of summary.txt, where there is one.
-    """
+    """Return the page of a run, which needs no other file and no network; pictures are SVG files by name."""
     title, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
     body = Template(files("pwatrack.report").joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=escaped(title),
@@ -111,3 +108,28 @@ def _unfolds(title: str, text: str) -> str:
 
 def _cut(text: str) -> str:
     return text if len(text) <= _MOST else f"{text[:_MOST]}\n… and {len(text) - _MOST:,} characters more"
+
+
+def document(title: str, body: str) -> str:
+    """Return a page with a title, which is text, and a body, which is HTML."""
+    frame = files("pwatrack.report").joinpath("document.html").read_text(encoding="utf-8")
+    return Template(frame).substitute(title=escaped(title), body=body, version=__version__)
+
+
+def escaped(text: str) -> str:
+    r"""Return text that a page shows as it is.
+
+    Example:
+        >>> escaped("<b>\x1b & more")
+        '&lt;b&gt;\\x1b &amp; more'
+    """
+    return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())
+
+
+def image(picture: bytes | str, name: str) -> str:
+    """Return a picture with this name, in the page: a PNG file, or an SVG file as text."""
+    if isinstance(picture, bytes):
+        data = f"png;base64,{base64.b64encode(picture).decode()}"
+    else:
+        data = f"svg+xml,{quote(' '.join(picture.split()), safe=_PLAIN)}"
+    return f'<img src="data:image/{data}" alt="{escaped(name)}">'

@@ -14,14 +14,11 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import tenths
 from pwatrack.workflow.bands import covered
 from pwatrack.workflow.how_far import HowFar, LargestBox, Proved
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 
 def _since(result: SimulatedLoop) -> tuple[int, float]:
-    """Return from which tenth of a run on, and from which time in s, w is what it is taken for in the end.
-
-    It is the last tenth, or as many as hold a period of the reference.
-    """
+    """Return the tenth of a run, and the time in s, from which on a whole period, or the last tenth, is left."""
     period, duration = result.controller.trajectory.exosystem.period or 0.0, result.spec.scenario.duration
     step = result.spec.scenario.sample_time
     starts = np.array(tenths(sample_count(duration, step))[:-1]) * step
@@ -30,11 +27,10 @@ def _since(result: SimulatedLoop) -> tuple[int, float]:
 
 
 def box_figures(result: SimulatedLoop, robust: Robust) -> dict[str, dict[str, float]]:
-    """Return what a box of parameters can do along the x_d of a run, and what was seen of it.
+    """Return what a box can do along the x_d of a run, and what was seen of it, for each signal by name.
 
-    Returns:
-        For each signal, by name: `bound`, what is proved of it in the end for a w as large as it is in the run from the
-        time of `_since` on, and for what is played back, and `seen`, its largest size at the samples of its last tenth.
+    `bound` is proved of it in the end for a w as large as in the run from the time of `_since` on, with what is played
+    back, and `seen` its largest size at the samples of its last tenth.
     """
     assert result.w is not None
     seen, late = dict[Form, float](), 0.9 * result.end

@@ -19,10 +19,7 @@ _FEW = 5  # of more than that
 def print_plant(
     console: Console, name: str, report: Applicability, reference: str, sizes: Sizes | None, remarks: Sequence[str] = ()
 ) -> None:
-    """Say what the plant is, which routes there are, what is known of the reference, and which sizes are in force.
-
-    Of many cells, facets or signals only the first ones.
-    """
+    """Say what the plant is, its routes, the reference and the sizes in force; of many cells or signals a few."""
     plant, form, cells, facets = report.plant, report.form, report.plant.cell_names, report.plant.partition.facets
     parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": cells}
     orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
@@ -68,10 +65,7 @@ def check_json(
     refusal: PwatrackError | None,
     remarks: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full.
-
-    `reference` is null where it is refused.
-    """
+    """Return what `check` says, for machines: of the plant as far as it was read, and every problem in full."""
     problems = () if refusal is None else refusal.problems
     told = {"problems": [{"place": str(p.place or ""), "message": p.message, "hint": p.hint} for p in problems]}
     if report is None:

@@ -9,12 +9,12 @@ from pwatrack.claims.decay import gain_figures
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
-from pwatrack.report.figures import error_unit, measures
+from pwatrack.report.figures import measures, norm_unit
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.margins import margin_figures
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _NO_REST = "the reference does not come to rest before the last tenth of the run, or the output starts there"
@@ -173,7 +173,7 @@ def _unit(spec: Spec, controller: ProvedController, asked: Requirement, signal: 
     if quantity.unit == "of the signal":
         return spec.problem.units.get(signal, "")
     if quantity.unit == "of the error":
-        return error_unit(spec, controller)
+        return norm_unit(spec, controller.error_names)
     return quantity.unit
 
 

@@ -172,11 +172,7 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
 
 @contextmanager
 def written_at_once(path: Path) -> Iterator[Path]:
-    """Return a path to write to, which takes the place of `path` when the block ends.
-
-    Raises:
-        InvalidSpec: If it cannot be written.
-    """
+    """Return a path to write to, which takes the place of `path` when the block ends, or raise InvalidSpec."""
     prefix = f".{path.name[:100]}."
     temporary = path.with_name(prefix + secrets.token_hex(8))
     try:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 _MOST_ROWS = 40  # of cells of a part
 _LONGEST = 60  # characters of the name of a cell beside its row: there is room for half as many again
@@ -21,12 +21,7 @@ class Stay(NamedTuple):
 
 
 def stays(result: SimulatedLoop, dots: int) -> Iterator[tuple[str, list[Stay]]]:
-    """Yield each part of the loop with its rows, in the order of its cells; bars nearer than a dot are one.
-
-    Args:
-        result: The run.
-        dots: How many of these the time has.
-    """
+    """Yield each part of the loop with its rows; bars nearer than a dot, of which the time has so many, are one."""
     trace, shares = result.response.trace, result.figures.time_share
     known = trace.stays()
     modes, times = np.array([mode for mode, _, _ in known]), np.array([ends for _, *ends in known])

@@ -13,48 +13,46 @@ from pwatrack.arrays import complex_text, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import rows
 from pwatrack.claims.sampled import SampledLoop
-from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import sized
 from pwatrack.report.figures import (
     design_remarks,
     ensemble_measures,
-    error_unit,
     load_content,
     measures,
     member_figures,
+    norm_unit,
     percent,
-    states_unit,
 )
 from pwatrack.report.parameters import largest_text, run_rows
-from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
+from pwatrack.report.screen import Findings
 from pwatrack.report.terminal import titled
-from pwatrack.spec.spec import Spec
-from pwatrack.workflow.cautions import Assessment
-from pwatrack.workflow.how_far import LargestBox
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
 _SIGNALS = 6  # that are printed of all that are tracked
 _CELLS = 6  # of a part of the loop that are printed with the time in them: those with the most
 
 
-def print_design(
-    console: Console,
-    spec: Spec,
-    controller: ProvedController,
-    checked: Sequence[Checked] = (),
-    largest: LargestBox | None = None,
-    assessment: Assessment | None = None,
-) -> None:
+def print_all(console: Console, found: Findings) -> None:
+    """Say all that came out."""
+    if found.result is None:
+        print_design(console, found)
+    else:
+        print_result(console, found)
+    if found.many:
+        print_ensemble(console, found.many)
+
+
+def print_design(console: Console, found: Findings) -> None:
     """Say what was proved and the gains; above all what was required and is not so, and what to beware of."""
-    table = titled(spec.name)
-    _outcome_rows(table, checked, assessment)
-    _add(table, rows(spec.words, controller))
-    if largest is not None:
-        table.add_row("largest box", largest_text(largest))
-    _margin_rows(table, controller, assessment)
-    _add(table, (("remark", remark) for remark in design_remarks(spec, controller)))
+    table = titled(found.spec.name)
+    _outcome_rows(table, found)
+    _add(table, rows(found.spec.words, found.controller))
+    if found.largest is not None:
+        table.add_row("largest box", largest_text(found.largest))
+    _margin_rows(table, found)
+    _add(table, (("remark", remark) for remark in design_remarks(found.spec, found.controller)))
     console.print(table)
 
 
@@ -63,35 +61,33 @@ def _add(table: Table, found: Iterable[tuple[str, str]]) -> None:
         table.add_row(*row)
 
 
-def _outcome_rows(table: Table, checked: Sequence[Checked], assessment: Assessment | None, simulated: str = "") -> None:
+def _outcome_rows(table: Table, found: Findings) -> None:
     """Say what is missed, how a simulation went, what to beware of, and what is met."""
-    _add(table, (("missed", each.text) for each in checked if not each.met))
-    if simulated:
-        table.add_row("simulated", simulated)
-    if assessment is not None:
-        _add(table, (("warning", text) for text in assessment.warnings))
-        _add(table, (("question", text) for text in assessment.questions))
-    if met := [each.text for each in checked if each.met]:
-        table.add_row("required", f"{len(met)} of {len(checked)} met: {'; '.join(met)}")
+    _add(table, (("missed", each.text) for each in found.checked if not each.met))
+    if found.result is not None:
+        table.add_row("simulated", f"{found.result.end:g} s: {found.result.outcome.text}")
+    _add(table, (("warning", text) for text in found.assessment.warnings))
+    _add(table, (("question", text) for text in found.assessment.questions))
+    if met := [each.text for each in found.checked if each.met]:
+        table.add_row("required", f"{len(met)} of {len(found.checked)} met: {'; '.join(met)}")
 
 
-def _margin_rows(table: Table, controller: ProvedController, assessment: Assessment | None) -> None:
+def _margin_rows(table: Table, found: Findings) -> None:
     """Say the margins of each cell by itself."""
-    plant = controller.plant
-    for one in () if assessment is None else assessment.margins:
+    plant = found.controller.plant
+    for one in found.assessment.margins:
         low, high = (number_text(v, ".3g") for v in one.gain)
         said = f"{plant.inputs[one.input]} in cell '{plant.cell_names[one.cell]}' by itself: stable with its gain "
         said += f"times {low} to {high}, phase {np.degrees(one.phase):.3g}°, delay {one.delay:.3g} s, gain 1 up to "
         table.add_row("margins", f"{said}{one.crossover:.3g} rad/s")
 
 
-def print_result(
-    console: Console, result: SimulatedLoop, checked: Sequence[Checked] = (), assessment: Assessment | None = None
-) -> None:
+def print_result(console: Console, found: Findings) -> None:
     """Say what was missed and how the simulation went, first of all; then what was proved, and of which loop."""
-    figures = measures(result)
+    assert found.result is not None
+    result, figures = found.result, measures(found.result)
     table = titled(result.spec.name)
-    _outcome_rows(table, checked, assessment, f"{result.end:g} s: {result.outcome.text}")
+    _outcome_rows(table, found)
     if conditions := result.loop.beyond_the_proofs:
         sampled = any(claim.proof is not None for claim in result.controller.claims_of(SampledLoop))
         but = "; of these, the sampling is in the proof of the sampled loop" * sampled
@@ -99,7 +95,7 @@ def print_result(
     if result.controller.trajectory.growth is not None:
         table.add_row("proofs", "are about an x_d that is bounded and what was asked for; this one is not")
     _add(table, rows(result.spec.words, result.controller))
-    _margin_rows(table, result.controller, assessment)
+    _margin_rows(table, found)
     for name, figure in load_content(result).items():
         unit = figure["unit"]
         size, estimate = (f"{number_text(figure[what], '.6g')} {unit}".rstrip() for what in ("load", "estimate"))
@@ -107,7 +103,7 @@ def print_result(
     _add(table, (("uncertain", text) for text in run_rows(result)))
     table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
     _add(table, (("time in", text) for text in _share_texts(result.figures.time_share)))
-    off = f"{figures['final_observer_error']:.2e} {states_unit(result.spec)}".rstrip()
+    off = f"{figures['final_observer_error']:.2e} {norm_unit(result.spec, result.spec.problem.plant.states)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")
     units, plant = result.spec.problem.units, result.spec.problem.plant
     inputs = [f"|{u}| = {size:.4g} {units.get(u, '')}".rstrip() for u, size in figures["largest_input"].items()]
@@ -178,7 +174,7 @@ def written(printing: Callable[[Console], None]) -> str:
 
 def print_ensemble(console: Console, many: EnsembleResult) -> None:
     """Say how the members of an ensemble went."""
-    figures, unit = ensemble_measures(many), error_unit(many.nominal.spec, many.nominal.controller)
+    figures, unit = ensemble_measures(many), norm_unit(many.nominal.spec, many.nominal.controller.error_names)
     table = titled(None)
     table.add_row(
         "ensemble",

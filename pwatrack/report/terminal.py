@@ -1,25 +1,29 @@
-"""The terminal: consoles that print text as it is, and refusals with their exit codes."""
+"""The terminal: consoles that print text as it is; refusals with exit codes, and as JSON and GitHub want them."""
 
 import io
+import json
 import os
+import re
 import signal
 import sys
 import traceback
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from pwatrack.compilation import while_compiling
-from pwatrack.errors import ExitCode, Problem, PwatrackError
+from pwatrack.errors import ExitCode, Place, Problem, PwatrackError
 from pwatrack.interruption import ended_by
-from pwatrack.report.annotation import annotations, as_json, excerpt
+from pwatrack.remote_files import content
 from pwatrack.report.codes import code_of
 
 Style = Literal["text", "json", "github"]
@@ -28,6 +32,10 @@ STYLE: ContextVar[Style] = ContextVar("how refusals are said", default="text")
 _MOST_LINES = 10  # of a refusal
 _MOST_FAULTS = 20  # of a file: its writer wants to see them all
 _LONGEST = 2_000  # characters of one message
+_MESSAGE = str.maketrans({"%": "%25", "\r": "%0D", "\n": "%0A"})
+_PROPERTY = _MESSAGE | str.maketrans({":": "%3A", ",": "%2C"})
+_WIDEST = 100  # characters of a line that are shown
+_LARGEST = 4 * 2**20  # bytes of a file that is looked into
 
 
 @contextmanager
@@ -87,9 +95,7 @@ def console(*, stderr: bool = False) -> Console:
 def refusals() -> Iterator[None]:
     """End the program with the messages and the exit code of a refusal raised inside; no traceback.
 
-    Raises:
-        SystemExit: With the code of the refusal, 2 if stdout takes no more, 130 if the program is interrupted (143 by
-            SIGTERM), and 1 for any other exception.
+    The code is 2 if stdout takes no more, 130 if the program is interrupted (143 by SIGTERM), 1 for other exceptions.
     """
     try:
         yield
@@ -171,6 +177,84 @@ def _hints_last(problems: Sequence[Problem], code: ExitCode, *, excerpts: bool =
         if problem.hint and (k + 1 == len(problems) or problems[k + 1].hint != problem.hint):
             lines.append(f"  hint: {problem.hint}")
     return lines
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobFault:
+    """One thing that is wrong: what, its code, what helps, and where it stands if that is known."""
+
+    message: str
+    code: str = ""
+    hint: str = ""
+    place: Place | None = None
+
+    @property
+    def text(self) -> str:
+        """What is wrong and what helps."""
+        return self.message + (f"\nhint: {self.hint}" if self.hint else "")
+
+
+def faults(error: PwatrackError) -> tuple[JobFault, ...]:
+    """Return what is wrong, one by one."""
+    codes = (code_of(problem.message, error.code) for problem in error.problems)
+    both = zip(error.problems, codes, strict=True)
+    return tuple(JobFault(message=p.message, code=code, hint=p.hint, place=p.place) for p, code in both)
+
+
+def excerpt(place: Place, message: str) -> list[str]:
+    """Return the line of a file, if it is there, and a caret below what the message quotes or else the place."""
+    try:
+        path = Path(place.file)
+        text = content(path, lambda: _bytes(path)).decode("utf-8")
+        line = text.split("\n")[place.line - 1].rstrip("\r").expandtabs(1)
+    except (OSError, ValueError, IndexError, PwatrackError):
+        return []
+    first, length = _meant(line, place.column - 1, message)
+    start = max(0, min(first - _WIDEST // 2, len(line) - _WIDEST))
+    before, shown = "… " if start else "", line[start : start + _WIDEST]
+    margin = f"{place.line:5} | "
+    under = " " * cell_len(before + line[start:first]) + "^" + "~" * (cell_len(line[first : first + length]) - 1)
+    return [margin + before + shown, " " * (len(margin) - 2) + "| " + under[: _WIDEST + 2]]
+
+
+def _bytes(path: Path) -> bytes:
+    if not path.is_file() or path.stat().st_size > _LARGEST:
+        raise ValueError("it is not looked into")
+    return path.read_bytes()
+
+
+def _meant(line: str, first: int, message: str) -> tuple[int, int]:
+    """Return where in a line that is what a message is about, and how long it is."""
+    quoted = re.search(r"'([^']{1,60})'", message)
+    if quoted and (found := re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(first, 0))):
+        return found.start(), len(quoted[1])
+    return min(max(first, 0), len(line)), 1
+
+
+def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], str] = str) -> str:
+    r"""Return a workflow command of GitHub: it stands beside the line of a file. `said` is what a terminal may have.
+
+    Example:
+        >>> fault = JobFault(message="a\nb", code="1", place=Place(file="", line=3, column=1))
+        >>> annotated(fault, title="no:", file="a,b.yaml")
+        '::error file=a%2Cb.yaml,line=3,col=1,title=no%3A 1::a%0Ab'
+    """
+    place = f",line={fault.place.line},col={fault.place.column}" if fault.place else ""
+    file, title = file.translate(_PROPERTY), f"{title} {fault.code}".rstrip().translate(_PROPERTY)
+    return f"::error file={file}{place},title={title}::{said(fault.text).translate(_MESSAGE)}"
+
+
+def annotations(error: PwatrackError) -> list[str]:
+    """Return a workflow command for each problem of a refusal."""
+    verdict = error.code.verdict
+    return [annotated(f, title=verdict, file=f.place.file if f.place else "") for f in faults(error)]
+
+
+def as_json(error: PwatrackError) -> str:
+    """Return a refusal as one line of JSON."""
+    problems = [{"code": fault.code, **asdict(fault)} for fault in faults(error)]
+    notes = [note.strip() for note in getattr(error, "__notes__", ())]
+    return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})
 
 
 def titled(title: str | None) -> Table:

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 import scipy
@@ -40,7 +40,7 @@ from pwatrack.spec.signal_section import (
     TrapezoidSection,
 )
 from pwatrack.spec.simulation_section import EllipsoidSection, InitialSection, SimulationSection, StartRegionsSection
-from pwatrack.spec.spec import InitialStates, Objectives, Scenario
+from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, Steady
 from pwatrack.spec.table import FINEST, Folder, read_table
 from pwatrack.spec.yaml_tree import path_text
 
@@ -269,14 +269,15 @@ def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 
 def _initial_states(section: InitialSection, states: Sequence[str]) -> InitialStates:
     """Return where a run starts; states that are not named start at 0."""
 
-    def start(values: Any) -> Any:
-        return _vector(values, states) if isinstance(values, Mapping) else ordered(values)
+    def start(values: Mapping[str, float] | Sequence[float] | None) -> Array | None:
+        return _vector(values, states) if isinstance(values, Mapping) else None if values is None else readonly(values)
 
-    def ordered(values: Any) -> Any:
-        return readonly(values) if isinstance(values, list) else values
-
+    plant, observer, generator = section.plant, section.observer, section.generator
+    eta = Steady() if isinstance(generator, str) else readonly(generator) if isinstance(generator, list) else generator
     return InitialStates(
-        plant=start(section.plant), observer=start(section.observer), generator=ordered(section.generator)
+        plant=Steady() if isinstance(plant, str) else start(plant),
+        observer=Measured() if isinstance(observer, str) else start(observer),
+        generator=eta,
     )
 
 

@@ -55,17 +55,26 @@ class Objectives:
         return {CONTROLLER: self.controller, OBSERVER: self.observer}
 
 
+@dataclass(frozen=True)
+class Measured:
+    """A start of the observer: from what is measured then."""
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A start in steady state for the reference as it begins: of the generator, or of the plant, on x_d."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class InitialStates:
     """Where a simulation starts: plant (n,), observer (n,), generator (p,) or some entries by name.
 
-    "steady" is in steady state for the reference as it begins: the generator, or the plant, on x_d. "measured" is from
-    what is measured then. None is zero, and of the generator as "steady".
+    None is zero, and of the generator as `Steady`.
     """
 
-    plant: Array | Literal["steady"] | None = None
-    observer: Array | Literal["measured"] | None = None
-    generator: Array | Mapping[str, float] | Literal["steady"] | None = None
+    plant: Array | Steady | None = None
+    observer: Array | Measured | None = None
+    generator: Array | Mapping[str, float] | Steady | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

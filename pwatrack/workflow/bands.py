@@ -27,8 +27,8 @@ _MOST_TOGETHER = 200_000  # rows times pieces: 100 MB while they are bounded
 
 def covered(box: Box, conditions: Conditions) -> bool:
     """Say whether the plant of a run is one of a box that bounds are proved for, and nothing else is changed."""
-    others = {name: value for name, value in vars(conditions).items() if name not in ("plant", "parameters")}
-    return bool(box) and all(v is None for v in others.values()) and inside(box, conditions.parameters or {})
+    same = all(value is None for name, value in vars(conditions).items() if name not in ("plant", "parameters"))
+    return bool(box) and same and inside(box, conditions.parameters or {})
 
 
 def tube_bounds(controller: ProvedController, box: Box, conditions: Conditions) -> Sequence[TubeBounds]:
@@ -41,15 +41,14 @@ def tube_bounds(controller: ProvedController, box: Box, conditions: Conditions) 
 def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> dict[Form, Array]:
     """Return what the proofs allow of each signal at the samples of a run, (K,); nothing where they are about another.
 
-    They are about a run with disturbances and noise, also with limits that no input comes to, and about another plant
-    if it is one of the box: then w (K, n) is how large each entry of w is so far. What acts counts as large as it has
-    been at the samples so far, noise as it ever gets. The response is from the start on.
+    They are about a run with disturbances and noise, limits that no input comes to, and any plant of the box: then
+    w (K, n) is how large each entry of w is so far. What acts counts as large as it was so far, noise as it ever gets.
     """
-    conditions, controller, first = loop.conditions, loop.controller, response
+    conditions, controller = loop.conditions, loop.controller
     free = replace(conditions, limits=None) if not limited(loop, response) else conditions
     seen = Seen(
         t=response.t,
-        start=start_of_errors(loop, first),
+        start=start_of_errors(loop, response),
         acting=_acting(loop, response),
         designed=replace(free, disturbance=None, noise=None).nominal,
         w=w if covered(box, free) else None,
@@ -61,11 +60,7 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
 
 
 def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
-    """Return how large the noise of each sensor and each disturbance of a file is; what loads make up is none.
-
-    Normal noise counts three standard deviations, steps of a sensor half of one, and disturbances their largest size in
-    the run, enclosed.
-    """
+    """Return how large noise, with half of a sensor's step, and each disturbance of a file is, enclosed; no load."""
     conditions, loads, acting = spec.scenario.conditions, controller.plant.loads, dict[Channel, float]()
     noise, quanta, disturbance = conditions.noise, conditions.quanta, conditions.disturbance
     sensors = np.zeros(len(controller.plant.C)) if noise is None else SIGMAS * noise.std
@@ -90,23 +85,17 @@ def limited(loop: ClosedLoop, response: Response) -> bool:
 
 
 def start_of_errors(loop: ClosedLoop, first: Response) -> Array:
-    """Return (x − x_d, x̂ − x, ŝ − s) at the first sample."""
-    off = first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0]
-    return np.concatenate([*off, _estimates_off(loop, first)])
-
-
-def _estimates_off(loop: ClosedLoop, response: Response) -> Array:
-    """Return ŝ − s at the start; s = 0 where the disturbance is not what the loads are at all times."""
-    loads, disturbance, at = loop.controller.plant.loads, loop.conditions.disturbance, loop.at
-    s_hat = np.asarray(response.trace.z[0, at.s_hat])
-    if loads is None or disturbance is None or not loads.are(disturbance):
-        return s_hat
-    s, rows = np.zeros(len(s_hat)), loads.truth(disturbance.Q, disturbance.rates)
-    for load, row, group in zip(loads.each, rows, loads.groups, strict=True):
-        s[group[0]] = row @ disturbance.w0
-        if load.order == 2:
-            s[group[1]] = row @ disturbance.S @ disturbance.w0 / float(load.frequency)
-    return s_hat - s
+    """Return (x − x_d, x̂ − x, ŝ − s) at the first sample; s = 0 where the disturbance is not at all times the loads."""
+    loads, disturbance = loop.controller.plant.loads, loop.conditions.disturbance
+    s_hat = first.trace.z[0, loop.at.s_hat]
+    s = np.zeros(len(s_hat))
+    if loads is not None and disturbance is not None and loads.are(disturbance):
+        rows = loads.truth(disturbance.Q, disturbance.rates)
+        for load, row, group in zip(loads.each, rows, loads.groups, strict=True):
+            s[group[0]] = row @ disturbance.w0
+            if load.order == 2:
+                s[group[1]] = row @ disturbance.S @ disturbance.w0 / float(load.frequency)
+    return np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0], s_hat - s])
 
 
 def _acting(loop: ClosedLoop, response: Response) -> dict[Channel, Array]:
@@ -126,9 +115,8 @@ def _acting(loop: ClosedLoop, response: Response) -> dict[Channel, Array]:
 class Along:
     """Encloses each entry of what the plants of a box do otherwise along x_d, in each tenth of a run, block by block.
 
-    That is w = f_p(x_d) − f(x_d) + (B_p − B) u_ff. In each cell of x_d, for each plant, w is rows of the flow of the
-    loop; it is affine in the matrices, so of all plants of the box one at a corner has the largest. What is said is of
-    all times: between samples, and on both sides of where x_d goes from cell to cell or a signal jumps.
+    That is w = f_p(x_d) − f(x_d) + (B_p − B) u_ff: in each cell of x_d, for each plant, rows of the flow of the loop;
+    affine in the matrices, so one at a corner of the box has the largest. It is of all times, also between samples.
     """
 
     def __init__(self, loop: ClosedLoop, robust: Robust, samples: int) -> None:
@@ -164,13 +152,3 @@ def _parts(segments: Segments, start: float, end: float, rows: int) -> Iterator[
     for k in range(0, len(chosen), most):
         some = chosen[k : k + most]
         yield replace(segments, **{n: getattr(segments, n)[some] for n in ("number", "t", "zeta", "length")})
-
-
-def so_far(w: Array, t: Array, samples: int, step: float) -> Array:
-    """Return the largest size of each entry of w up to the end of the tenth of the run that a time is in, (K, n).
-
-    w (10, n) is that in each tenth, and t (K,) are times in s; a run has so many samples, so far apart.
-    """
-    starts = np.array(tenths(samples)[:-1]) * step
-    k = np.searchsorted(starts, t + step / 2, side="right") - 1  # never an earlier one than that of t
-    return np.asarray(np.maximum.accumulate(w)[np.maximum(k, 0)])

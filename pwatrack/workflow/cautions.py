@@ -1,8 +1,7 @@
 """What an engineer would be warned of before this design goes to its machine: each with its figure, and a way out.
 
-It changes no proof. What is proved says so; margins and modes are of each cell by itself, in floating point. What is
-odd of a plant by itself, elements that give energy, modes that run away or are not damped, is asked before any design:
-only who knows the machine can say whether the file is right.
+Margins and modes are of each cell by itself, in floating point. What is odd of a plant by itself is asked before any
+design: only who knows the machine can say whether the file is right.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -46,24 +45,16 @@ _WORTH = 1.2  # times as much margin is worth a word
 
 @dataclass(frozen=True, kw_only=True)
 class Assessment:
-    """What the proofs mean with what the file declares.
+    """What the proofs mean with what the file declares."""
 
-    Attributes:
-        acting: How large noises and disturbances count.
-        ends: The most that each signal is in the end under these: in the sampled loop where that is proved, else in the
-            loop as designed. Nothing where none acts.
-        condition: For what, in words.
-        margins: Of each cell by itself; none where to look for them would take long.
-        warnings: In the order of their weight.
-        questions: What is odd of the plant, and may be right.
-    """
-
-    acting: Mapping[Channel, float]
+    acting: Mapping[Channel, float]  # how large noises and disturbances count
+    # the most that each signal is in the end under these, nothing where none acts: in the sampled loop where that is
+    # proved, else in the loop as designed
     ends: Mapping[Form, float]
-    condition: str
-    margins: Sequence[Margins]
-    warnings: tuple[str, ...]
-    questions: tuple[str, ...]
+    condition: str  # for what, in words
+    margins: Sequence[Margins]  # of each cell by itself; none where to look for them would take long
+    warnings: tuple[str, ...]  # in the order of their weight
+    questions: tuple[str, ...]  # what is odd of the plant, and may be right
 
 
 def assessed(spec: Spec, controller: ProvedController) -> Assessment:
@@ -129,6 +120,8 @@ def _disturbed(
     references = reference_sizes(spec, controller)
     kinds = " and ".join(sorted(acting, reverse=True))
     under = f"under {kinds}" if kinds else "in the sampled loop"
+    calmer = "raise 'sizes' of inputs: a faster K; or 'estimate' the load" if kinds else "sample more often"
+    calmer = "raise 'sizes' of outputs: a calmer observer" if "noise" in kinds else calmer
     for k, name in enumerate(controller.error_names):
         bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
         limits = [
@@ -142,16 +135,8 @@ def _disturbed(
             yield (
                 f"{under} no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
                 + f" is proved; {most:.3g} {unit}".rstrip()
-                + f" is {what}; {_calmer(kinds)}"
+                + f" is {what}; {calmer}"
             )
-
-
-def _calmer(kinds: str) -> str:
-    if not kinds:
-        return "sample more often, and with less jitter"
-    if "noise" in kinds:
-        return "raise 'sizes' of outputs: a calmer observer"
-    return "raise 'sizes' of inputs: a faster K; or 'estimate' the load"
 
 
 def acting_text(words: Words, acting: Mapping[Channel, float]) -> str:
@@ -268,10 +253,7 @@ def plant_questions(plant: PWASystem) -> list[str]:
 
 
 def _pushes(A: Array, element: Nonlinearity) -> float:
-    """Return the most by which an element drives what it looks at away, per unit of it: in 1/s², through one rate.
-
-    As in `drives_away`, but of each slope by itself, and of what the element does as a whole.
-    """
+    """Return the most by which an element drives what it looks at away, per unit of it: in 1/s², through one rate."""
     row, d = (np.array([float(v) for v in values]) for values in (element.row, element.direction))
     if row @ d != 0:
         return 0.0

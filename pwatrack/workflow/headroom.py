@@ -1,28 +1,36 @@
-"""What limits of signals mean for a design: whether they leave room for the reference, and how much beside it."""
+"""What limits of signals mean for a design: the room that the reference leaves, and what any set-points take of it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
+from pwatrack.claims.exact_text import CLOSE
 from pwatrack.control.bounds import state_rows
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.demand import Demand
+from pwatrack.control.demand import Demand, Kept, told
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.headroom import OFF, Headroom, Peak, SignalRoom, Starts
+from pwatrack.control.program import PACE
+from pwatrack.control.set_points import demand, not_tried, unsaid
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, Subject
+from pwatrack.control.words import down
+from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart, Subject
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.desired import desired_peak, w_alone
 from pwatrack.simulation.steady_state import steady_start
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared
-from pwatrack.workflow.starting import generator_start, plant_start, starts_of
+from pwatrack.workflow.tracking import generator_start, plant_start, starts_of
 
 _STILL = 1e-12  # of the terms of w': what is less is rounding
 _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays in its cell, whatever rounding does
+_HALVINGS = 12  # of a limit of set-points, until it is known how much of it would do
+_NOT_FOUND = "no ellipsoid was found that the internal states stay in"
 
 
 def room_within_limits(
@@ -34,8 +42,7 @@ def room_within_limits(
 ) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
-    Raises OutsideTheory if following the reference takes more than the limits: input, time, figure and limit. What only
-    the generator's start makes of it is no reason: it dies out.
+    Raises OutsideTheory if following the reference takes more; what only the generator's start makes of it dies out.
     """
     limits, names = spec.scenario.conditions.limits, spec.problem.plant.inputs
     if limits is None:
@@ -75,10 +82,7 @@ def _room(
     limits: Array,
     gains: Array,
 ) -> Headroom:
-    """Return what signals along x_d take of their limits, (m, 2), and with which errors a run may begin.
-
-    What the generator's start makes of it beyond a limit dies out: that is not in `lasting`.
-    """
+    """Return what signals along x_d take of their limits, (m, 2), and with which errors a run may begin."""
     plant, system, duration = spec.problem.plant, trajectory.exosystem, spec.scenario.duration
     given = trajectory.eta0
     if given is None and generator is not None:
@@ -107,10 +111,9 @@ def _goes_on(
 ) -> bool:
     """Say whether signals along x_d, as `desired_peak` has them, are within their peak after the run too.
 
-    They are if the reference has no piece to come, and they repeat or are at rest; where a state of the generator
-    matters, if that is so close to its steady state by then that they cannot differ by what the peak is known to, by
-    the P of (17), or if it rests from the start on, inside of a cell.
-    `ends` are η̂(0) and that of the steady state, where there is one; the duration is in s.
+    They are if no piece of the reference is to come, and they repeat or are at rest; where a state of the generator
+    matters, if by the P of (17) that is so close to its steady state by then that they cannot differ by what the peak
+    is known to, or if it rests from the start on, inside of a cell. `ends` are η̂(0) and that of the steady state.
     """
     system, p = trajectory.exosystem, trajectory.rate.shape[1]
     if system.end is not None or any(reset.t > duration for reset in system.resets):
@@ -162,3 +165,77 @@ def _check(spec: Spec, room: Headroom, said: Sequence[str], at: Sequence[Subject
         problems += [Problem(message=message, subject=at[k], hint=hint)] if said[k] else []
     if problems:
         raise OutsideTheory(*problems)
+
+
+def demand_of(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, content: Any = None
+) -> Demand | None:
+    """Return what set-points take of the inputs, as a certificate tells it or searched and proved; None without limits.
+
+    Raises InvalidSpec if that has no end as no range is given, OutsideTheory if it is more than limits of inputs, for a
+    plant without internal states, and ValueError if what was told is of other limits.
+    """
+    conditions, system = spec.scenario.conditions, trajectory.exosystem
+    if conditions.pace is None or conditions.set_range is None or generator is None or generator.played_back:
+        return None
+    if max(generator.form.degrees) > conditions.pace.shape[1]:
+        return None  # `program` refuses it
+    eta, limits = generator_start(spec, trajectory, generator), conditions.limits
+    kept = Kept.of(generator.form, conditions.pace, conditions.set_range, system(0.0), eta)
+    if limits is not None and (open_ := unsaid(generator.form, kept)):
+        names = " and ".join(open_)
+        text = f"no range of {names} is given: what it takes of the inputs, which have limits, has no end"
+        hint = f"say what set-points may be, {{{open_[0]}: {{range: [low, high], …}}}}"
+        raise InvalidSpec(Problem(message=text, subject=(ProblemPart.SET_POINTS,), hint=hint))
+    if content is None:
+        found = demand(generator, kept)
+    elif content["set_points"] is None:
+        found = Demand.unknown(kept, generator.form.D.shape[2], not_tried(generator, kept) or _NOT_FOUND)
+    else:
+        found = told(kept, content["set_points"], CLOSE)
+    if limits is not None and not generator.form.eta_names:
+        _check_demand(spec, generator, found, limits)
+    return found
+
+
+def _check_demand(spec: Spec, generator: TrajectoryGenerator, found: Demand, limits: Array) -> None:
+    """Refuse what may be beyond a limit of an input, with what limits of the set-points would do."""
+    problems, names, beyond = list[Problem](), spec.problem.plant.inputs, found.beyond(limits)
+    would = _would_do(spec, generator, found.kept, limits) if beyond else ()
+    for k, side in beyond:
+        unit, ends = spec.problem.units.get(names[k], ""), (found.low, found.high)[side]
+        needed, limit = (f"{number_text(float(v), '.4g')} {unit}".rstrip() for v in (ends[k], limits[k, side]))
+        way = "above its upper" if side else "below its lower"
+        message = f"set-points may take {names[k]} = {needed}, {way} limit, {limit}"
+        hint = (
+            f"it is within with {' or '.join(would)}" if would else "no limit of them by itself would do: lower several"
+        )
+        problems.append(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
+    if problems:
+        raise OutsideTheory(*problems)
+
+
+def _would_do(spec: Spec, generator: TrajectoryGenerator, kept: Kept, limits: Array) -> Sequence[str]:
+    """Return which single limits of set-points would do, and how low they have to be: that of least change first."""
+    outputs, units, found = spec.problem.plant.tracked_names, spec.problem.units, list[tuple[float, str]]()
+    for k, ends in enumerate(kept.box):
+        if ends is None or ends[0] == ends[1] or demand(generator, kept.times(k, Fraction(0))).beyond(limits):
+            continue
+        low, high = Fraction(0), Fraction(1)
+        for _ in range(_HALVINGS):
+            share = (low + high) / 2
+            low, high = (low, share) if demand(generator, kept.times(k, share)).beyond(limits) else (share, high)
+        if not low:
+            continue  # only if it is 0, which no limit may be
+        output, order = kept.of_output(k)
+        less = kept.times(k, low).box[k]
+        assert less is not None
+        unit = units.get(outputs[output], "")
+        name = f" of {outputs[output]}" * (len(outputs) > 1)
+        if order:
+            per = f" {unit}/s{order if order > 1 else ''}" if unit else ""
+            found.append((float(low), f"{PACE[order - 1]}{name} {down(float(less[1]))}{per}"))
+        else:
+            lower, upper = number_text(-float(down(-float(less[0]))), ".4g"), down(float(less[1]))
+            found.append((float(low), f"range{name} [{lower}, {upper}]"))
+    return [text for _, text in sorted(found, reverse=True)]

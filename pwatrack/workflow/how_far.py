@@ -1,7 +1,4 @@
-"""How far away a refused inequality is: from which value of each parameter on it is proved, and which rate is.
-
-And how far a box of uncertain parameters can be scaled about the values of the design.
-"""
+"""How far away a refused inequality is, by parameters and rate, and how far a box of uncertain ones can be scaled."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -73,10 +70,8 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
     """Look how far away a refused inequality is; each step is an exact proof.
 
     Each independent parameter of the file that enters it is moved by itself: outwards in growing steps, then by
-    bisection between the last value without a proof and the first with one.
-
-    Returns:
-        What was found; None where the inequality is too large to be asked so often, or none that depends on the plant.
+    bisection between the last value without a proof and the first with one. None where the inequality is too large to
+    be asked so often, or none that depends on the plant.
     """
     inequality, rate = _Inequality(spec, evidence), None
     if inequality.proofs < _LEAST_PROOFS:
@@ -175,7 +170,7 @@ class _Inequality:
 
     def largest_rate(self) -> float | None:
         """Return the largest rate that is proved, with as many digits as `nearest` gives."""
-        task = self._task(self._spec.problem.plant)
+        task = Task.of(self._spec.problem.plant, self._role, sizes=self._sizes)
 
         def proved(rate: float) -> bool:
             return self._paid() and _some_gain(task, _ROOM * rate) is not None
@@ -206,7 +201,10 @@ class _Inequality:
                 return False
             return bool(_common_P(self._role, M) or (self._any_sign and prove_dichotomy(self._role, M)))
         plant = self._plant(name, value)
-        return plant is not None and _some_gain(self._task(plant), _ROOM * self._rate) is not None
+        return (
+            plant is not None
+            and _some_gain(Task.of(plant, self._role, sizes=self._sizes), _ROOM * self._rate) is not None
+        )
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""
@@ -220,9 +218,6 @@ class _Inequality:
         except PwatrackError:  # no plant of class (1)
             return None
 
-    def _task(self, plant: PWASystem) -> Task:
-        return Task.of(plant, self._role, sizes=self._sizes)
-
     def _matrices(self, name: str, value: float) -> list[BallMatrix] | None:
         """Return the M_i of (17), or of (8) or (9) with the gain that is given; None where there are none."""
         plant = self._plant(name, value)
@@ -230,7 +225,7 @@ class _Inequality:
 
     def _of(self, plant: PWASystem) -> list[BallMatrix] | None:
         if self._role is not GENERATOR:
-            task = self._task(plant)
+            task = Task.of(plant, self._role, sizes=self._sizes)
             if self._gain is not None:
                 return task.exactly_closed(self._gain)
             assert task.exact is not None
@@ -301,11 +296,7 @@ class LargestBox:
 
 
 def largest_box(spec: Spec, controller: ProvedController) -> LargestBox:
-    """Find it by bisection, with a proof for each box that is kept; a box within one that is proved is proved too.
-
-    The controller is a design for the spec, whether it is proved for its box or not. Raises Undecided if none was
-    proved.
-    """
+    """Find it by bisection, with a proof for each box that is kept; raises Undecided if none was proved."""
     uncertain, refusals = spec.objectives.uncertain, [Undecided()]
 
     def box(factor: float) -> Box:

@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -31,15 +32,21 @@ from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_measured, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
-from pwatrack.spec.spec import Spec
-from pwatrack.workflow.headroom import room_of_signals, room_within_limits
-from pwatrack.workflow.outcome import RunMonitor
-from pwatrack.workflow.result import SimulatedLoop
-from pwatrack.workflow.set_points import demand_of
+from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.workflow.headroom import demand_of, room_of_signals, room_within_limits
+from pwatrack.workflow.outcome import RunMonitor, SimulatedLoop
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
-from pwatrack.workflow.starting import generator_start, initial_values, plant_start
-from pwatrack.workflow.tracking import check_breaks, desired_trajectory, start_fixed, start_given_twice, starts_periodic
+from pwatrack.workflow.tracking import (
+    check_breaks,
+    desired_trajectory,
+    generator_start,
+    initial_values,
+    plant_start,
+    start_fixed,
+    start_given_twice,
+    starts_periodic,
+)
 
 MOST_KEPT = 250_000  # samples
 
@@ -73,7 +80,7 @@ def _practical(spec: Spec, growing: bool, refusal: PwatrackError) -> ProvedContr
         little = not_worth(spec, practical)
         if spec.objectives.practical or not little:
             less = merged_spec(spec, practical.merges, watched=found.plant.watched is not None)
-            return proved(found, asked_of(less, *_rooms(less, found)))
+            return proved(found, asked(less, found))
         remark = f"; practical tracking is proved, and not worth having: {little}; 'tracking: practical' takes it"
     elif not spec.objectives.practical:
         raise refusal
@@ -99,7 +106,7 @@ def asked_of(
         sampled=controller.sampled_gains(sampling) if sampling is not None and corrects else None,
         measured=(
             from_measured(controller.sizes, controller.plant.C)
-            if isinstance(spec.scenario.initial.observer, str)
+            if isinstance(spec.scenario.initial.observer, Measured)
             else None
         ),
         changes=None if sampling is None or rates is None else rates * sampling.sample_time,
@@ -118,10 +125,7 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
 def _with_gains(
     spec: Spec, growing: bool, *, exact: bool = True
 ) -> tuple[ProvedController, Headroom | None, Demand | None]:
-    """Find the gains with the proofs of (8), (9) and (17), and the room that limits of inputs leave.
-
-    Where tracking is not exact nothing is proved of inputs at their limits, and K is not made for them.
-    """
+    """Find the gains with their proofs, and the room that limits leave, for which K is made if it is exact."""
     with spec.located():
         check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
@@ -168,17 +172,16 @@ def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint 
     return room.within(sizes) if within == "limits" else None
 
 
-def _rooms(spec: Spec, controller: ProvedController) -> tuple[Headroom | None, ProvedController, Demand | None]:
+def asked(spec: Spec, controller: ProvedController, content: Any = None) -> Asked:
+    """Return what a spec asks to be proved of a controller; what set-points take, as a certificate tells it."""
     trajectory, generator = controller.trajectory, controller.generator
-    taken = demand_of(spec, trajectory, generator)
-    return room_within_limits(spec, trajectory, generator, controller.sizes, taken), controller, taken
+    taken = demand_of(spec, trajectory, generator, content)
+    room = room_within_limits(spec, trajectory, generator, controller.sizes, taken)
+    return asked_of(spec, room, controller, taken)
 
 
 def sampling_known(spec: Spec) -> tuple[str, ...]:
-    """Say what sampling makes of the loop in each cell, as far as that is known before gains are sought.
-
-    With K and L given it is what `sampling_remarks` says of the design; else that it depends on them.
-    """
+    """Say what sampling makes of the loop in each cell, or that it depends on K and L, if these are not given."""
     sampling, goals = spec.scenario.conditions.sampling, spec.objectives
     if sampling is None:
         return ()
@@ -193,10 +196,8 @@ def simulate(
 ) -> SimulatedLoop:
     """Run the closed loop from event to event: what `pwatrack.api.simulate` does, which says the rest.
 
-    Of a long run some samples are kept in memory and all of them in a temporary file: see `TraceOnDisk`.
-
-    The controller is what `design(spec)` returned; designed first if not given, also where x_d grows without bound.
-    Where it is sampled, `runs` is the program of it, if it was kept; else it is made.
+    Without a controller one is designed, also where x_d grows without bound; where it is sampled, `runs` is the program
+    of it, if that was kept. Of a long run some samples are kept in memory and all of them on disk: see `TraceOnDisk`.
     """
     controller = controller or design(spec, growing=True)
     with spec.located():
@@ -225,19 +226,16 @@ def simulate(
 
 
 def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
-    """Return z(0), as a spec says it, and a period of the generator's steady state where it has one.
-
-    Raises PwatrackError if the spec says it twice, or with wrong lengths.
-    """
+    """Return z(0), as a spec says it, once, and a period of the generator's steady state where it has one."""
     controller, initial, n = loop.controller, spec.scenario.initial, spec.problem.plant.A.shape[1]
-    if start_fixed(spec, controller) and not isinstance(initial.generator, str | None):
+    if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
         raise start_given_twice(("simulation", "initial", "generator"))
     eta, steady_state = _generator_start(spec, controller)
     fixed = controller.trajectory.eta0 is not None or (steady_state is not None and starts_periodic(spec))
     x = plant_start(spec, controller.trajectory, controller.generator, eta if fixed else None)
     observer = (
         measured_start(loop, x)
-        if isinstance(initial.observer, str)
+        if isinstance(initial.observer, Measured)
         else initial_values(initial.observer, n, "observer")
     )
     return loop.start(plant=x, observer=observer, generator=eta), steady_state
@@ -300,7 +298,7 @@ def _steady_state(spec: Spec, controller: ProvedController, eta_hat0: Array) -> 
 def proved_for(spec: Spec, controller: ProvedController) -> ProvedController:
     """Return a controller with all that a spec asks to be proved of it: another box than it was designed for."""
     with spec.located(), asking(spec.objectives.solver):
-        return proved(replace(controller, claims=()), asked_of(spec, *_rooms(spec, controller)))
+        return proved(replace(controller, claims=()), asked(spec, controller))
 
 
 def check_plant(spec: Spec, designed: PWASystem) -> None:

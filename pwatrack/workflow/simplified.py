@@ -22,10 +22,9 @@ Designed = Callable[[Spec], ProvedController]
 
 
 def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
-    """Say whether practical tracking is to be tried where exact tracking is refused.
+    """Say whether practical tracking is to be tried: where (8), (9) or (17) is proved impossible, whatever the rate.
 
-    It is where (8), (9) or (17) is proved impossible, whatever the rate; where the spec asks for it after any refusal
-    of the theory. With uncertain parameters it is not.
+    Where the spec asks for it, after any refusal of the theory; with uncertain parameters it is not.
     """
     if spec.objectives.uncertain:
         return False
@@ -37,10 +36,8 @@ def may_merge(spec: Spec, refusal: PwatrackError) -> bool:
 def checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     """Check what can be known before gains are sought; of the merged plant where practical tracking is to be tried.
 
-    Refuses as `check_reference` and `check_modes` do, or as `spec_generator` where the zero dynamics leave no route.
-
-    Returns:
-        What is known of the reference, and the sizes in force.
+    Return what is known of the reference, and the sizes in force. Refuses as `check_reference` and `check_modes` do, or
+    as `spec_generator` where the zero dynamics leave no route.
     """
     try:
         return _checked(spec, facts)
@@ -66,11 +63,7 @@ def _checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
 
 
 def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> ProvedController | str:
-    """Return the design with the least of the cells merged, or why none is found.
-
-    Where (9) holds for all cells too, the observer that runs these is tried as well, and the one with the smaller bound
-    of what is tracked is taken. `designed` designs for a spec, whatever its plant, without claims.
-    """
+    """Return the design with the least of the cells merged, or why none is found; `designed` designs without claims."""
     plant, failed = spec.problem.plant, list[PwatrackError]()
     form = scalar_form(plant)
     if form is None or not widest(form):
@@ -90,7 +83,7 @@ def practical_design(spec: Spec, refusal: PwatrackError, designed: Designed) -> 
     ways = list(chosen.values())
     made = merged_spec(spec, ways)
     found = [_bounded(made, plant, ways, refusal, designed)]
-    if plant.loads is None:
+    if plant.loads is None:  # where (9) holds for all cells too: the one with the smaller bound is taken
         found.append(_bounded(merged_spec(spec, ways, watched=True), plant, ways, refusal, designed))
 
     def bound(made: ProvedController) -> float:  # what the tracking error ends below, of several entries in sizes
@@ -127,8 +120,7 @@ def _solve(spec: Spec) -> None:
     _, generator = desired_trajectory(spec, False)
     plant = spec.problem.plant if generator is None else generator.form.plant
     if plant.repair is not None and spec.problem.plant.repair is None:
-        message = "the merged plant has the form (11) but for rounding"
-        raise OutsideTheory(message)
+        raise OutsideTheory("the merged plant has the form (11) but for rounding")
     goals = spec.objectives
     synthesize(plant, controller=goals.controller, observer=goals.observer, sizes=spec_sizes(spec))
 

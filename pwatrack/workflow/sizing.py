@@ -1,20 +1,16 @@
 """The sizes of a spec's signals: those that the file gives, and those that follow from what else it says."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.goal import DEFAULT
-from pwatrack.control.modes import check_modes
 from pwatrack.control.trajectory import DesiredTrajectory
-from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Remedy, Way
-from pwatrack.model.normal_form import NormalForm, normal_form
+from pwatrack.errors import OutsideTheory, PwatrackError
+from pwatrack.model.normal_form import normal_form
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem, InputReference, OutputReference, SetPoint, exosystem
-from pwatrack.model.simplification import scalar_form, widest
 from pwatrack.model.sizes import Origin, Sizes
 from pwatrack.simulation.desired import blocks, desired_flow
 from pwatrack.simulation.region import BoxRegion
@@ -26,8 +22,6 @@ _TIMES = 4096  # at which a reference is looked at, beside its breaks
 _GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are even over [0, 1] and in step with no period
 _BRIEF = 0.05  # of the time of a run: a signal that moves no longer does so in spikes
 _STILL = 1e-9  # of the largest value, or of a size: what moves less is a constant, or 0, but for rounding
-
-Known = tuple[str, float, Origin]
 
 
 def spec_sizes(spec: Spec) -> Sizes:
@@ -52,44 +46,11 @@ def spec_sizes(spec: Spec) -> Sizes:
     return Sizes.of(plant, known, tempo=tempo)
 
 
-def spec_form(spec: Spec) -> NormalForm:
-    """Return the normal form (11) of a plant; of more inputs than outputs, u_ff takes the least in their sizes."""
-    plant = spec.problem.plant
-    several = plant.B.shape[1] > len(plant.tracked)
-    try:
-        return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
-    except OutsideTheory as refusal:
-        raise advised(refusal, spec) from None
-
-
-def advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
-    """Return the refusal with the kinds of tracking that may help in place of the one it names.
-
-    That is state tracking where no eigenvalue decides against it, and practical tracking where cells can be merged;
-    what is proved impossible is tried with cells merged by itself.
-    """
-    plant, goals = spec.problem.plant, spec.objectives
-    try:
-        check_modes(plant, DEFAULT, DEFAULT, spec_sizes(spec))
-        by_state = True
-    except Infeasible:
-        by_state = False
-    by_itself = isinstance(refusal, Infeasible)
-    form = None if by_itself or goals.practical or goals.uncertain else scalar_form(plant)
-    merging = form is not None and bool(widest(form))
-    ways = {(True, True): Way.STATE_OR_PRACTICAL, (True, False): Way.STATE_TRACKING, (False, True): Way.PRACTICAL}
-    way, named = ways.get((by_state, merging)), Remedy(Way.STATE_TRACKING)
-    remedy = None if way is None else Remedy(way)
-    told = (replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems)
-    return type(refusal)(*told, evidence=refusal.evidence)
-
-
 def reference_sizes(spec: Spec, controller: ProvedController) -> Array:
-    """Return how large the reference of each signal of the tracking error is, never more than it is, (q,).
+    """Return how large the reference of each signal of the tracking error is, half of its swing in a run, (q,).
 
-    That is half of its swing in a run, and of one that rests its size; at samples, so a swing is a little more. It is 0
-    where the reference rests at 0, or is a response to given inputs that cannot be followed: there is nothing to
-    compare an error with.
+    Of one that rests it is its size, at samples never more than it is; 0 where that is 0, or it is a response to given
+    inputs that cannot be followed: there is nothing to compare an error with.
     """
     trajectory, plant = controller.trajectory, controller.plant
     p, of_state = len(trajectory.names), controller.tracking == "state"
@@ -115,7 +76,7 @@ def _response(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) 
     return np.asarray(periodic_state(desired_flow(plant, trajectory), z0, free=p, period=period).z[:, :p])
 
 
-def _told(spec: Spec) -> Iterator[Known]:
+def _told(spec: Spec) -> Iterator[tuple[str, float, Origin]]:
     """Yield what a spec says of sizes, in the order in which it counts."""
     plant, scenario = spec.problem.plant, spec.scenario
     for name, size in spec.problem.sizes.items():

@@ -1,18 +1,23 @@
-"""What a spec wants tracked: its reference, checked, and the desired trajectory."""
+"""What a spec wants tracked: its reference, checked, the desired trajectory, and where the parts of a run start."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
-from pwatrack.control.modes import check_loads
+from pwatrack.control.goal import DEFAULT
+from pwatrack.control.headroom import Starts
+from pwatrack.control.modes import check_loads, check_modes
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
-from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError, Subject
-from pwatrack.model.normal_form import NormalForm
+from pwatrack.errors import CheckFailed, Infeasible, InvalidSpec, OutsideTheory, Problem, PwatrackError, Remedy, Way
+from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.profile import Table
 from pwatrack.model.reference import (
     InputReference,
@@ -25,11 +30,16 @@ from pwatrack.model.reference import (
     shortest_rounding,
 )
 from pwatrack.model.signal import Signal
+from pwatrack.model.simplification import scalar_form, widest
+from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
+from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.stable_inversion import played_back
-from pwatrack.spec.spec import Spec
-from pwatrack.workflow.sizing import advised, spec_form
+from pwatrack.simulation.steady_state import consistent_start, from_measured
+from pwatrack.spec.spec import Measured, Spec, Steady
+from pwatrack.spec.wording import guess, shown
+from pwatrack.workflow.sizing import spec_sizes
 
 
 def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
@@ -78,12 +88,43 @@ def desired_trajectory(
     return played_back(trajectory, spec.scenario.duration), generator
 
 
+def spec_form(spec: Spec) -> NormalForm:
+    """Return the normal form (11) of a plant; of more inputs than outputs, u_ff takes the least in their sizes."""
+    plant = spec.problem.plant
+    several = plant.B.shape[1] > len(plant.tracked)
+    try:
+        return normal_form(plant, input_sizes=spec_sizes(spec).input if several else None)
+    except OutsideTheory as refusal:
+        raise _advised(refusal, spec) from None
+
+
+def _advised(refusal: PwatrackError, spec: Spec) -> PwatrackError:
+    """Return the refusal with the kinds of tracking that may help in place of the one it names.
+
+    State tracking, where no eigenvalue decides against it; practical tracking, where that is not tried by itself.
+    """
+    plant, goals = spec.problem.plant, spec.objectives
+    try:
+        check_modes(plant, DEFAULT, DEFAULT, spec_sizes(spec))
+        by_state = True
+    except Infeasible:
+        by_state = False
+    by_itself = isinstance(refusal, Infeasible)
+    form = None if by_itself or goals.practical or goals.uncertain else scalar_form(plant)
+    merging = form is not None and bool(widest(form))
+    ways = {(True, True): Way.STATE_OR_PRACTICAL, (True, False): Way.STATE_TRACKING, (False, True): Way.PRACTICAL}
+    way, named = ways.get((by_state, merging)), Remedy(Way.STATE_TRACKING)
+    remedy = None if way is None else Remedy(way)
+    told = (replace(p, remedy=remedy) if p.remedy == named else p for p in refusal.problems)
+    return type(refusal)(*told, evidence=refusal.evidence)
+
+
 def spec_generator(spec: Spec, form: NormalForm, *, known: bool) -> TrajectoryGenerator:
     """Return the generator of a plant in the form (11), or advise state tracking where no eigenvalue is against it."""
     try:
         return trajectory_generator(form, preview=known)
     except PwatrackError as refusal:
-        raise advised(refusal, spec) from None
+        raise _advised(refusal, spec) from None
 
 
 def _output_signals(reference: OutputReference, form: NormalForm) -> list[Signal]:
@@ -159,7 +200,7 @@ def check_breaks(
         raise InvalidSpec(*(p.prefixed(said) for p in fast.problems)) from None
 
 
-def _check(signals: list[Signal], r: int | None, subject: Subject, name: str) -> None:
+def _check(signals: list[Signal], r: int | None, subject: tuple[str, ...], name: str) -> None:
     for signal in signals:
         check_bounded(signal, name=name, subject=subject)
         if r is not None:
@@ -176,8 +217,110 @@ def starts_periodic(spec: Spec) -> bool:
     return isinstance(spec.problem.reference, InputReference) and spec.problem.reference.start is None
 
 
-def start_given_twice(subject: Subject) -> InvalidSpec:
+def start_given_twice(subject: tuple[str, ...]) -> InvalidSpec:
     """Return the refusal of a start of the desired trajectory beside that of the reference."""
-    where = ".".join(map(str, subject))
-    message = f"{where}: the reference itself says where the desired trajectory starts"
+    message = f"{'.'.join(subject)}: the reference itself says where the desired trajectory starts"
     return InvalidSpec(message, subject=subject, hint="leave it out")
+
+
+def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
+    """Return η̂(0), in order or by the generator's names of states; that of `consistent_start` if none is given."""
+    given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
+    if given is None or isinstance(given, Steady):
+        return consistent_start(trajectory, generator)[0]
+    if not isinstance(given, Mapping):
+        return initial_values(given, len(names), "generator")
+    unknown = [
+        Problem(
+            message=f"{'.'.join(subject)}: {shown(name)} is no state of the generator: "
+            f"{', '.join(names) or 'it has none'}{guess(name, names)}",
+            subject=(*subject, name),
+        )
+        for name in given
+        if name not in names
+    ]
+    if unknown:
+        raise InvalidSpec(*unknown)
+    return np.array([given.get(name, 0.0) for name in names])
+
+
+def start_remarks(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> tuple[str, ...]:
+    """Say what was taken where a steady state is asked for that there is not."""
+    initial = spec.scenario.initial
+    asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), Steady)]
+    if not asked or trajectory.eta0 is not None:
+        return ()
+    said = consistent_start(trajectory, generator)[1]
+    return (f"simulation.initial.{asked[-1]}: there is no steady state: {said}",) if said else ()
+
+
+def plant_start(
+    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, eta: Array | None = None
+) -> Array:
+    """Return x(0); in steady state it is x_d(0), from which the plant follows its reference, or rests with it.
+
+    `eta` is η̂(0), where the reference says it; else it is that of `consistent_start`.
+    """
+    given = spec.scenario.initial.plant
+    if not isinstance(given, Steady):
+        return initial_values(given, len(spec.problem.plant.states), "plant")
+    eta = consistent_start(trajectory, generator)[0] if eta is None else eta
+    return trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
+
+
+def initial_values(values: Array | None, length: int, part: str) -> Array:
+    """Return where a part starts, 0 where nothing is said; refuses another number of entries."""
+    if values is None:
+        return np.zeros(length)
+    if len(values) != length:
+        subject = ("simulation", "initial", part)
+        raise InvalidSpec(f"simulation.initial.{part}: {len(values)} entries, expected {length}", subject=subject)
+    return values
+
+
+def starts_of(
+    spec: Spec, trajectory: DesiredTrajectory, plant_at: Array, generator: Array | None, sizes: Sizes
+) -> Iterator[Starts]:
+    """Yield the errors with which a run begins, and the members of its ensemble, where it is known where x_d does.
+
+    Noise and steps of a sensor are left out, and a disturbance that is no load which is estimated, from 0 on. In the
+    sizes the observer makes the least of what is measured. `plant_at` is x(0), `generator` η̂(0) if it is known.
+    """
+    plant, initial, regions = spec.problem.plant, spec.scenario.initial, spec.scenario.regions
+    if "generator" in regions or (generator is None and trajectory.names):
+        return
+    eta = np.zeros(0) if generator is None else generator
+    x_d = trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
+    n, loads, disturbance = len(x_d), plant.loads, spec.scenario.conditions.disturbance
+    acting = np.zeros(len(sizes.load))
+    if loads is not None and disturbance is not None and loads.are(disturbance):
+        acting[list(loads.where)] = -loads.truth(disturbance.Q, disturbance.rates) @ disturbance.w0
+    for varied in ({}, regions) if regions else ({},):
+        x = _columns(varied.get("plant"), plant_at)
+        if isinstance(initial.observer, Measured):
+            x_hat, own = from_measured(sizes, plant.C) @ plant.C @ x, np.zeros((n, 0))
+        else:
+            start = _columns(varied.get("observer"), initial_values(initial.observer, n, "observer"))
+            x_hat, own = np.hstack([start[:, :1], np.zeros((n, x.shape[1] - 1))]), start[:, 1:]
+        e = np.hstack([x, np.zeros(own.shape)])
+        e[:, 0] -= x_d
+        load, delta = np.zeros((len(sizes.load), e.shape[1])), np.hstack([x_hat - x, own])
+        load[:, 0] = acting
+        if not varied and not delta.any() and not load.any():
+            yield Starts(kind="run", e=e)
+            continue
+        kind: Literal["ensemble", "run"] = "ensemble" if varied else "run"
+        yield Starts(kind=kind, e=e, delta=delta, load=load if len(load) else None)
+        if varied:
+            yield Starts(kind="members", e=e[:, : x.shape[1]])
+
+
+def _columns(region: Region | None, point: Array) -> Array:
+    """Return the centre of a region and, for each entry that varies, by how much; of an ellipsoid the box around it."""
+    if region is None:
+        return point[:, None]
+    if isinstance(region, BoxRegion):
+        centre, radii = (region.low + region.high) / 2, (region.high - region.low) / 2
+    else:
+        centre, radii = region.center, region.radii
+    return np.hstack([centre[:, None], np.diag(radii)[:, radii > 0]])

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Literal, cast
 
@@ -13,7 +13,7 @@ from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController
-from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError, Subject
+from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import in_order
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
@@ -22,9 +22,8 @@ from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.steady_state import measured_start
 from pwatrack.simulation.trace import Trace
-from pwatrack.spec.spec import Spec
-from pwatrack.workflow.outcome import Outcome, RunMonitor
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.spec.spec import Measured, Spec
+from pwatrack.workflow.outcome import Outcome, RunMonitor, SimulatedLoop
 from pwatrack.workflow.tracking import start_fixed, start_given_twice
 
 Over = Literal["initial", "parameters", "noise", "plane"]
@@ -41,11 +40,11 @@ class Variation:
     """What differs between the members of an ensemble."""
 
     over: Over  # the kind of what differs
-    given: bool  # whether the spec says how much; else it is the default
-    regions: Mapping[str, Region]  # what the members are drawn from, by part
-    names: Mapping[str, tuple[str, ...]]  # of the entries of each region
     values: Mapping[str, Array | IntArray]  # what was drawn, by name, one for each member
     member: Callable[[int], Member]  # returns a member by its index
+    given: bool = True  # whether the spec says how much; else it is the default
+    regions: Mapping[str, Region] = field(default_factory=dict)  # what the members are drawn from, by part
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # of the entries of each region
 
     @property
     def text(self) -> str:
@@ -68,10 +67,7 @@ class EnsembleResult:
 
     @property
     def failed(self) -> tuple[int, ...]:
-        """The indices of the members whose error grows without bound or is above its own proved bound.
-
-        Of starts in a plane none: they are to show where that is so.
-        """
+        """The indices of members that grow or are above their bound; of starts in a plane, which show that, none."""
         if self.variation.over == "plane":
             return ()
         return tuple(number for number, outcome in enumerate(self.outcomes) if outcome.code != ExitCode.DONE)
@@ -97,11 +93,9 @@ def ensemble(
 ) -> EnsembleResult:
     """Run a simulated closed loop again in many variations: what `pwatrack.api.ensemble` does, which says the rest.
 
-    What differs is for "initial" the initial states, drawn uniformly from the regions of the spec; where it says none,
-    each state of the plant starts within the largest size it has in `result` of its nominal start. For "parameters" it
-    is those of the plant, drawn uniformly from the intervals of the spec; where it says none, from 5 % around each
-    value that matters to the plant. For "noise" it is the seed. An executor does the work instead of threads here,
-    `workers` parts at a time; the result does not depend on it either.
+    Where the spec says no regions of initial states, each state of the plant starts within the largest size it has in
+    `result` of its nominal start; where it says no intervals, each parameter that matters is within 5 % of its value.
+    An executor does the work instead of threads here, `workers` parts at a time; the result does not depend on it.
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
@@ -189,11 +183,11 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
         random = np.random.default_rng([seed, number])  # so that no part depends on another
         drawn = regions[part].draw(random, count)
         if part == "generator":
-            subject: Subject = ("simulation", "ensemble", "initial", "generator")
+            subject = ("simulation", "ensemble", "initial", "generator")
             if start_fixed(spec, result.controller):
                 raise start_given_twice(subject)
             if drawn.shape[1] != len(etas):
-                message = f"{'.'.join(map(str, subject))}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
+                message = f"{'.'.join(subject)}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
                 message += "one for each state of the generator"
                 raise InvalidSpec(message, subject=subject)
         starts[:, where] = drawn
@@ -211,10 +205,7 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
 
 
 def other_parameters(result: SimulatedLoop, count: int, seed: int) -> Variation:
-    """Return the loop with plants whose parameters are drawn from intervals, and the controller as designed.
-
-    Refuses, as does `member`, a plant that is not of class (1) with other values.
-    """
+    """Return the loop, controller as designed, with plants of class (1) whose parameters are drawn from intervals."""
     loop, spec = result.loop, result.spec
     intervals = dict(spec.scenario.intervals) or _near(result)
     names = tuple(intervals)
@@ -256,14 +247,11 @@ def other_noise(result: SimulatedLoop, count: int, seed: int) -> Variation:
         _observe(result.spec, varied, start)
         return replace(first, z0=start, resets=tuple(varied.resets(result.spec.scenario.duration)))
 
-    return Variation(over="noise", given=True, regions={}, names={}, values={"noise_seed": seeds}, member=member)
+    return Variation(over="noise", values={"noise_seed": seeds}, member=member)
 
 
 def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation:
-    """Return the loop from x_d(0) and errors of two states, x̂ = x: around what is proved of such starts with limits.
-
-    Where nothing is, each of the two is within the largest size that it has in `result`.
-    """
+    """Return the loop from x_d(0) and errors of two states, x̂ = x: around what is proved, or else as in `result`."""
     loop, plane = result.loop, list(result.spec.scenario.plane)
     if plane[0] == plane[1]:
         raise InvalidSpec("the plant has one state: there is no plane", subject=None, hint="'--over initial'")
@@ -278,9 +266,6 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
     names, member = tuple(loop.plant.states[k] for k in plane), _member(result, loop)
     return Variation(
         over="plane",
-        given=True,
-        regions={},
-        names={},
         values=dict(zip(names, x[:, plane].T, strict=True)),
         member=lambda number: replace(member, z0=starts[number]),
     )
@@ -309,7 +294,7 @@ def _area(edge: Array) -> float:
 
 
 _VARIED = {"initial": other_starts, "parameters": other_parameters, "noise": other_noise, "plane": starts_in_a_plane}
-_OVER: Subject = ("simulation", "ensemble", "parameters")
+_OVER = ("simulation", "ensemble", "parameters")
 _NUMBERS = attrgetter("A", "b", "B", "C", "tracked", "partition.H", "partition.h")  # of a plant
 
 
@@ -329,7 +314,7 @@ def _member(result: SimulatedLoop, loop: ClosedLoop) -> Member:
 
 def _observe(spec: Spec, loop: ClosedLoop, start: Array) -> None:
     """Let the observer of a member start from what is measured of its own plant, where the spec asks for it."""
-    if isinstance(spec.scenario.initial.observer, str):
+    if isinstance(spec.scenario.initial.observer, Measured):
         start[loop.at.x_hat] = measured_start(loop, start[loop.at.x])
 
 

@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 from pwatrack.arrays import Array
-from pwatrack.workflow.result import SimulatedLoop
+from pwatrack.workflow.outcome import SimulatedLoop
 
 # Dark solid and light dashed: told apart without colour too.
 ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
@@ -162,9 +162,6 @@ class _Panels(LayoutEngine):
 
     Each panel is measured once, and again only if ticks have changed since. The layout of matplotlib measures twice,
     and once more for names in line, which takes longer than to draw.
-
-    Args:
-        title: That of the figure.
     """
 
     _adjust_compatible = False

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.pareto import Front
 from pwatrack.errors import ExitCode
-from pwatrack.report.figures import error_unit
+from pwatrack.report.figures import norm_unit
 from pwatrack.report.plots.canvas import (
     ACTUAL,
     BOUND,
@@ -56,12 +56,9 @@ _PROVED = {"goes to 0, limits reached or not": ACTUAL, "no limit is reached": BO
 
 
 def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
-    """Draw how the tracking error of an ensemble spreads over time, linear until most have settled, and logarithmic.
-
-    Below, what is required of its members, each figure beside its limit, but for errors, whose limits are lines above.
-    """
+    """Draw how errors of an ensemble spread, linear until most have settled, and logarithmic; what is required."""
     kept, result = many.ensemble, many.nominal
-    unit = error_unit(result.spec, result.controller)
+    unit = norm_unit(result.spec, result.controller.error_names)
     largest = f"{number_text(max(figures.final_error for figures in many.figures), '.2g')} {unit}".rstrip()
     said = f"{len(kept.error):,} members {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
