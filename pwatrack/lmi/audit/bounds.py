@@ -4,8 +4,8 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from .balls import Ball, falls, sides, stacked, unlike
-from .matrices import AuditFault, Matrix, added, definite, identity
+from .balls import Ball, beyond, falls, sides, squared, stacked, unlike
+from .matrices import AuditFault, Matrix, added, definite
 from .peak_gain import peak_bound
 from .plant import AuditedPlant
 from .reading import distinct, number, packed, place
@@ -49,20 +49,13 @@ class Loop:
             rate = number(proof["a"])
             if not definite(Q) or rate <= 0:
                 raise AuditFault("Q or a is not positive")
-            square, open_ = g @ g.T
-            if channel[0] == "start":
-                if not definite(added(Q, square, -1)):
-                    faults.append("the start is not in the ellipsoid")
-                square = identity(len(Q), 0)
-            square, open_ = [[v / rate for v in row] for row in square], [[v / rate / 2 for v in row] for row in open_]
-            for X, R in M:
-                if not falls(Ball(added(X, identity(len(Q), rate / 2)), R), Q, powers, square, open_):
-                    faults.append("an ellipsoid can be left")
+            if channel[0] == "start" and not definite(added(Q, squared(g)[0], -1)):
+                faults.append("the start is not in the ellipsoid")
+            push = () if channel[0] == "start" else squared(g, 1 / rate)
+            faults += ["an ellipsoid can be left" for X in M if not falls(X, Q, powers, *push, rate=rate / 2)]
             distinct([signal[:2] for signal in proof["signals"]], "a signal of an ellipsoid")
             for kind, k, size in proof["signals"]:
-                c = self.row(loop, kind, k)
-                value, radius = c @ Ball(Q) @ c.T
-                if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
+                if beyond(self.row(loop, kind, k), Q, number(size)):
                     faults.append(f"{kind} {k} is not bounded by {size}")
                 found[loop, *channel, kind, k] = number(size)
         for peak in entry.get("peaks", []):

@@ -6,7 +6,7 @@ from typing import Any
 
 from .balls import Ball, enlarge, falls, sizes
 from .bounds import Loop
-from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
+from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
 from .plant import AuditedPlant
 from .reading import number, packed
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
@@ -45,11 +45,10 @@ def growing(errors: AuditedErrors, content: Any, P: Any, ticks: list[Ball], rate
     faults += [] if all(jumps) else ["a tick makes its form grow"]
     ends = (shrinks(errors.substep, after[0], before[-1]) for before, after in pairwise(runs))
     faults += [] if all(ends) else ["the end of a substep makes its form grow"]
-    turned = [Ball(added(F.T.centre, identity(errors.order, rate)), F.T.radius) for F in errors.flows]
     for run in runs:
         for one, other in pairwise(run):
-            rise = [[v * (knots - 1) * parts / errors.period for v in row] for row in added(other[0], one[0], -1)]
-            if not all(falls(F, *form, rise) for form in (one, other) for F in turned):
+            rise = times(added(other[0], one[0], -1), (knots - 1) * parts / errors.period)
+            if not all(falls(F.T, *form, rise, rate=rate) for form in (one, other) for F in errors.flows):
                 faults.append("its form does not fall fast enough between ticks")
     return faults
 
@@ -71,6 +70,6 @@ def shrinks(jump: Ball, after: Form, before: Form) -> bool:
     lower = product(P, J)
     left = added(product(transposed(J), lower), Q, -1)
     if R:
-        half = [[v / 2 for v in row] for row in product(sizes(P), R)]
+        half = times(product(sizes(P), R), Fraction(1, 2))
         enlarge(left, product(transposed(R), added(sizes(lower), half)), powers)
     return definite(left, sign=-1)

@@ -37,7 +37,7 @@ def no_P_by_modes(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[
     faults, counts = no_P(proof), set[int]()
     for i, content in proof["P"].items():
         P, M = packed(content)[0], matrices[int(i)][0]
-        if len(P) != len(M) or not falls(Ball(M), P, [], None):
+        if len(P) != len(M) or not falls(Ball(M), P, []):
             faults.append(f"the inequality fails for M_{int(i) + 1}")
         counts.add(positive(P))
     return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
@@ -71,12 +71,9 @@ def multipliers(proof: Any, n: int) -> dict[int, Matrix]:
 
 def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fraction, margin: Fraction) -> list[str]:
     """Return the cells in which -(M P + P M^T) - 2 rate P - margin I is not positive definite."""
-    shift, rest = identity(len(P), rate), identity(len(P), margin)
-    return [
-        f"the inequality fails for M_{i + 1}"
-        for i, (M, R) in unlike(matrices)
-        if not falls(Ball(added(M, shift), R), P, powers, rest)
-    ]
+    rest = identity(len(P), margin)
+    failed = (i for i, M in unlike(matrices) if not falls(M, P, powers, rest, rate=rate))
+    return [f"the inequality fails for M_{i + 1}" for i in failed]
 
 
 def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:

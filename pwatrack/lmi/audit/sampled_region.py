@@ -1,16 +1,18 @@
 """From which starts the errors of a sampled loop go to 0 although inputs are cut off at limits: forms that fall."""
 
 from fractions import Fraction
+from functools import reduce
+from itertools import chain
 from itertools import product as choices
 from typing import Any
 
 from .balls import Ball
 from .bounds import SIGNALS, Loop
 from .clocked import growing, predicted
-from .matrices import AuditFault, added, definite, product, transposed
+from .matrices import AuditFault, added, definite, identity
 from .reading import distinct, matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
-from .starts import kind_of
+from .starts import held, kind_of, starts_of
 from .ticks import AuditedErrors
 
 KEY = "sampled_regions"
@@ -62,16 +64,10 @@ def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
 
 def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:
     """Return what is wrong with starts that are to be inside, z before a tick with nu = 0 and rho = 0."""
-    G, weights = matrix(entry["starts"]), [number(w) for w in entry["weights"]]
-    fits = weights and min(weights) > 0 and sum(weights) <= 1 and len(G) == errors.order
-    if not fits or any(len(row) != len(weights) for row in G):
-        raise AuditFault("the weights of the starts are not positive, or more than 1 together")
-    n, m, N = errors.n, errors.m, errors.N
+    (G, weights), n, m, N = starts_of(entry, errors.order, 1), errors.n, errors.m, errors.N
     if any(map(any, G[n : n + m])) or any(map(any, G[n + m + N :])):
         raise AuditFault("a start of the sampled loop has an input that is held, or a prediction")
-    box = [[w * (j == k) for k in range(len(weights))] for j, w in enumerate(weights)]
-    inside = definite(added(box, product(transposed(G), product(P, G)), -1))
-    return [] if inside else ["a start is not in the region"]
+    return held(P, G, weights)
 
 
 def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any) -> list[Ball]:
@@ -80,19 +76,13 @@ def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any
     A row of a change is added to what the input was before.
     """
     (J,), n, m = errors.ticks, errors.n, errors.m
-    eye = Ball([[Fraction(j == k) for k in range(errors.order)] for j in range(errors.order)])
-    changes: dict[int, list[Ball | None]] = {k: [None] for k in inputs}
+    eye = Ball(identity(errors.order, 1))
+    changes: dict[int, list[list[Ball]]] = {k: [[]] for k in inputs}
     for k, is_change, row in zip(inputs, changing, H, strict=True):
         made, before = J.row(n + k), eye.row(n + k)
         for load in range(len(errors.at)):
             if errors.at[load] == k:
                 made, before = made - J.row(n + m + n + load), before - eye.row(n + m + n + load)
         rest = Ball([row]) + before - made if is_change else Ball([row]) - made
-        changes[k].append(eye.row(n + k).T @ rest)
-    found = list[Ball]()
-    for chosen in choices(*changes.values()):
-        tick = J
-        for change in chosen:
-            tick = tick if change is None else tick + change
-        found.append(tick)
-    return found
+        changes[k].append([eye.row(n + k).T @ rest])
+    return [reduce(Ball.__add__, chain(*chosen), J) for chosen in choices(*changes.values())]

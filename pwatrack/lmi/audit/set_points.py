@@ -8,10 +8,10 @@ from fractions import Fraction
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from .balls import Ball, falls, unlike
+from .balls import Ball, beyond, falls, sides, squared, stacked, unlike, zero
 from .bounds import Loop
-from .form import coordinates, joined, once
-from .matrices import AuditFault, Matrix, added, definite, identity, product, spend, transposed
+from .form import coordinates, once
+from .matrices import AuditFault, added, definite, identity, spend
 from .plant import AuditedPlant
 from .reading import matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, WHOLE, of
@@ -72,22 +72,17 @@ class ToldSetPoints:
         found = list[tuple[list[Row], list[Row], list[Row]]]()
         for i, (T_i, back) in enumerate(zip(T, once(Ball.inverse, T), strict=True)):
             A, b = plant.A[i], plant.b[i]
-            o = joined(
-                [T_i.row(k - 1) @ b if self.higher(k) else Ball([[Fraction(0)]]) for k in range(len(T_i.centre))]
-            )
+            o = stacked(*(T_i.row(k - 1) @ b if self.higher(k) else zero(1, 1) for k in range(len(T_i.centre))))
             whole = T_i @ A @ back
-            field = sides_of(whole, T_i @ b - whole @ o)
-            X = Z @ (joined([T_i.row(k) for k in last]) @ plant.B @ Z).inverse()
-            u = sides_of(-(X @ joined([field.row(k) for k in last])), X)
-            planes = [
-                ([side * v for v in plane[:-1]], side * plane[-1])
-                for plane, side in zip(plant.cells.planes, plant.cells.signs[i], strict=True)
-                if side
-            ]
+            field = sides(whole, T_i @ b - whole @ o)
+            X = Z @ (stacked(*map(T_i.row, last)) @ plant.B @ Z).inverse()
+            u = sides(-(X @ stacked(*map(field.row, last))), X)
             inside = list[Row]()
-            for line, constant in planes:
-                H = Ball([line]) @ back
-                inside.append(self.ordered(Row.of(sides_of(H, Ball([[constant]]) - H @ o), 0)))
+            for plane, side in zip(plant.cells.planes, plant.cells.signs[i], strict=True):
+                if side:
+                    *line, constant = (side * v for v in plane)
+                    H = Ball([line]) @ back
+                    inside.append(self.ordered(Row.of(sides(H, Ball([[constant]]) - H @ o), 0)))
             rates = [self.ordered(Row.of(field, self.r + j)) for j in range(self.q)]
             found.append(([self.ordered(Row.of(u, k)) for k in range(len(X.centre))], rates, inside))
         return found
@@ -121,19 +116,6 @@ class ToldSetPoints:
             for k, v in enumerate(line):
                 row.at[self.r + firsts.index(k + 1) - 1 if k + 1 in firsts else k + 1] -= v
         return found
-
-
-def sides_of(one: Ball, other: Ball) -> Ball:
-    """Return one matrix beside another."""
-    return Ball(
-        [[*a, *b] for a, b in zip(one.centre, other.centre, strict=True)],
-        [[*a, *b] for a, b in zip(radius(one), radius(other), strict=True)] if one.radius or other.radius else [],
-    )
-
-
-def radius(ball: Ball) -> Matrix:
-    """Return the radius of a matrix, where there is none 0."""
-    return ball.radius or [[Fraction(0)] * len(row) for row in ball.centre]
 
 
 def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
@@ -177,7 +159,7 @@ def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction],
             faults.append("an ellipsoid of internal states can be left")
         Q, _ = packed(part["Q"])
         for line, most in zip(kept.forms, each, strict=True):
-            if most < 0 or product(product([line], Q), transposed([line]))[0][0] > most**2:
+            if beyond(Ball([line]), Q, most):
                 faults.append("a row of internal states is not bounded by its size")
         totals = [total + v * size for total, v in zip(totals, each, strict=True)]
     return totals, faults if q else []
@@ -210,13 +192,10 @@ def drives(kept: ToldSetPoints, rates: list[list[Row]], cell: int) -> Any:
 def stays(matrices: list[Ball], column: Ball, part: Any, *, start: bool) -> bool:
     """Decide whether z from 0 on, driven by a column of at most 1, or from that column on, stays in an ellipsoid."""
     (Q, powers), rate = packed(part["Q"]), number(part["a"])
-    square, open_ = column @ column.T
-    if rate <= 0 or not definite(Q) or (start and not definite(added(Q, square, -1))):
+    if rate <= 0 or not definite(Q) or (start and not definite(added(Q, squared(column)[0], -1))):
         return False
-    factor = Fraction(0) if start else 1 / rate
-    square, open_ = [[v * factor for v in row] for row in square], [[v * factor / 2 for v in row] for row in open_]
-    half = identity(len(Q), rate / 2)
-    return all(falls(Ball(added(X, half), R), Q, powers, square, open_) for X, R in matrices)
+    push = () if start else squared(column, 1 / rate)
+    return all(falls(X, Q, powers, *push, rate=rate / 2) for X in matrices)
 
 
 def intervals(kept: ToldSetPoints, content: Any, sizes: list[Fraction]) -> list[str]:
