@@ -89,7 +89,7 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
         return None
     if len(system.blocks) < 2:
         alone = program.fastest(program.most, _LOOKS)
-        return None if alone is None else proved_forms(system, alone[1].P, alone[0])
+        return None if alone is None else proved_forms(system, alone.P, alone.rate)
     best = program.at(0.0)
     if best is None or not best.rate > 0:
         return None

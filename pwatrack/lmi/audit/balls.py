@@ -76,6 +76,11 @@ def zero(rows: int, columns: int) -> Ball:
     return Ball([[Fraction(0)] * columns for _ in range(rows)])
 
 
+def unit(order: int, k: int) -> Ball:
+    """Return a column of the identity."""
+    return Ball(identity(order, 1)).column(k)
+
+
 def stacked(*balls: Ball) -> Ball:
     """Return matrices below each other."""
     X = [row for ball in balls for row in ball.centre]

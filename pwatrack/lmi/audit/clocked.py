@@ -12,16 +12,14 @@ from .reading import number, packed
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
-KEY = "sampled"
-SHAPE = (
-    None,
-    of(ROWS, "K M rows") | of(NUMBER, "sample_time jitter rate") | of(WHOLE, "substeps delay") | {"P": [PACKED]},
-)
+SAMPLED = of(ROWS, "K M rows") | of(NUMBER, "sample_time jitter rate") | of(WHOLE, "substeps delay") | {"P": [PACKED]}
+SHAPE = {"sampled": (None, SAMPLED)}
 Form = tuple[Matrix, list[Fraction]]  # and about the roots of its diagonal
 
 
-def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the proof of the sampled loop, and what it claims."""
+    content = whole["sampled"]
     if content is None:
         return [], []
     h, rate = number(content["sample_time"]), number(content["rate"])

@@ -81,7 +81,7 @@ class Estimates:
             F = stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate)
         return F, -(self.right @ self.C @ rate)
 
-    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball | None]]:
+    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball]]:
         """Return what is held beside u_j epsilon, and eta_hat - eta one sample later: rows on epsilon."""
         found, eye = list[Ball](), Ball(identity(self.k + self.p, 1))
         for F_a, u_a in self.cells:
@@ -91,7 +91,7 @@ class Estimates:
         m = len(self.plant.B[0][0])
         each = [stacked(X.rows(0, m), X.rows(m + self.k, m + self.k + self.p)) for X in found]
         kept = [short(ball, _DIGITS) for _, ball in unlike(each)]
-        return [(X.rows(0, m), X.rows(m, m + self.p) if self.p else None) for X in kept]
+        return [(X.rows(0, m), X.rows(m, m + self.p)) for X in kept]
 
 
 def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:

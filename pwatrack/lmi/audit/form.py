@@ -59,14 +59,14 @@ def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
         if any(product(row[0], plant.B[0])[0]):
             raise AuditFault(f"the relative degree is not {degree}")
         if k == degree - 2:
-            return once(lambda A, rows=rows: stacked(rows, rows.row(-1) @ A), plant.A)
+            break
         following = row @ plant.A[0]
         for (A, _), (b, _) in zip(plant.A, plant.b, strict=True):
             if product(row[0], A) != following[0] or product(row[0], b) != product(row[0], plant.b[0][0]):
                 raise AuditFault("the derivatives of the output differ between cells before the input enters")
         row = following
         rows = stacked(rows, row)
-    return [rows] * len(plant.A)
+    return [rows] * len(plant.A) if degree == 1 else once(lambda A: stacked(rows, row @ A), plant.A)
 
 
 def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:

@@ -11,24 +11,21 @@ from .matrices import AuditFault, Matrix, definite, product
 from .polynomials import coefficients, exponents, polynomial, substituted
 from .reading import distinct, matrix, number, packed
 from .shape import PROOFS, ROWS
-from .starts import SHAPE as STARTS
-from .starts import around, bounded, held, kind_of, loop_of, starts_of
+from .starts import STARTS, around, bounded, held, kind_of, loop_of, starts_of
 
-KEY = "regions"
-BY_ELLIPSOID = STARTS[0] | {"H": ROWS}
+BY_ELLIPSOID = STARTS | {"H": ROWS}
 BY_POLYNOMIAL = {key: shape for key, shape in BY_ELLIPSOID.items() if key != "Q"} | {"V": PROOFS["polynomial"]}
-SHAPE = [(BY_ELLIPSOID, BY_POLYNOMIAL)]
+SHAPE = {"regions": [(BY_ELLIPSOID, BY_POLYNOMIAL)]}
 
 
-def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the regions with limits active, and what they claim."""
+    found = whole["regions"]
     distinct([[entry["of"]] for entry in found], "a region")
     faults = [f"region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(loop, entry)]
     every = any(entry["of"] == "every" for entry in found)
-    said = "with inputs at their limits errors go to 0 from " + (
-        "every start" if every else f"{len(found)} boxes of starts"
-    )
-    return faults, [said] if found else []
+    starts = "every start" if every else f"{len(found)} boxes of starts"
+    return faults, [f"with inputs at their limits errors go to 0 from {starts}"] if found else []
 
 
 def wrong(loop: Loop, entry: Any) -> list[str]:

@@ -15,12 +15,13 @@ from .shape import NUMBER, PACKED, ROWS, TEXT, of
 from .starts import held, kind_of, starts_of
 from .ticks import AuditedErrors
 
-KEY = "sampled_regions"
-SHAPE = [of(TEXT, "of loop") | of(ROWS, "starts H") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}]
+REGION = of(TEXT, "of loop") | of(ROWS, "starts H") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}
+SHAPE = {"sampled_regions": [REGION]}
 
 
-def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the regions of the sampled loop with limits active, and what they claim."""
+    found = whole["sampled_regions"]
     if not found:
         return [], []
     if whole["sampled"] is None:
@@ -30,9 +31,8 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if errors.late or errors.estimates is not None:
         raise AuditFault("regions are not said of late inputs, and of loads that do not only act at inputs")
     kind_of(loop, "joint")
-    faults = [
-        f"sampled region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(errors, entry, whole)
-    ]
+    each = (wrong(errors, entry, whole) for entry in found)
+    faults = [f"sampled region {k}: {fault}" for k, some in enumerate(each, 1) for fault in some]
     every = any(entry["of"] == "every" for entry in found)
     starts = "every start" if every else f"{len(found)} boxes of starts"
     return faults, [f"with inputs at their limits errors of the sampled loop go to 0 from {starts}"]

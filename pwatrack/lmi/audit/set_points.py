@@ -11,16 +11,15 @@ from typing import Any, NamedTuple
 from .balls import Ball, beyond, falls, sides, squared, stacked, unlike, zero
 from .bounds import Loop
 from .form import coordinates, once
-from .matrices import AuditFault, added, definite, identity, spend
+from .matrices import AuditFault, added, definite, identity, spend, times
 from .plant import AuditedPlant
 from .reading import matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, WHOLE, of
 
-KEY = "set_points"
 PART = {"of": TEXT, "k": WHOLE, "a": NUMBER, "Q": PACKED, "sizes": [NUMBER]}
 KEPT = {"box": [(None, [NUMBER, NUMBER])], "start": [NUMBER], "cell": WHOLE, "centre": [NUMBER], "parts": [PART]}
 KEPT |= of(ROWS, "M forms u_ff") | {"cells": [(of(ROWS, "lowest highest"), {"not_reached": [NUMBER]})]}
-SHAPE = (None, KEPT)
+SHAPE = {"set_points": (None, KEPT)}
 
 
 class Row(NamedTuple):
@@ -28,11 +27,6 @@ class Row(NamedTuple):
 
     at: list[Fraction]
     off: list[Fraction]
-
-    @classmethod
-    def of(cls, ball: Ball, k: int) -> "Row":
-        """Return a row of a matrix."""
-        return cls(ball.centre[k], ball.radius[k] if ball.radius else [Fraction(0)] * len(ball.centre[k]))
 
     @property
     def sizes(self) -> list[Fraction]:
@@ -82,20 +76,19 @@ class ToldSetPoints:
                 if side:
                     *line, constant = (side * v for v in plane)
                     H = Ball([line]) @ back
-                    inside.append(self.ordered(Row.of(sides(H, Ball([[constant]]) - H @ o), 0)))
-            rates = [self.ordered(Row.of(field, self.r + j)) for j in range(self.q)]
-            found.append(([self.ordered(Row.of(u, k)) for k in range(len(X.centre))], rates, inside))
+                    inside.append(self.ordered(sides(H, Ball([[constant]]) - H @ o), 0))
+            rates = [self.ordered(field, self.r + j) for j in range(self.q)]
+            found.append(([self.ordered(u, k) for k in range(len(X.centre))], rates, inside))
         return found
 
     def higher(self, k: int) -> bool:
         """Say whether a coordinate is the derivative of the one before."""
         return k < self.r and k not in (0, *accumulate(self.degrees))
 
-    def ordered(self, row: Row) -> Row:
-        """Return a row on (xi, eta, 1, y^(r)), or on (xi, eta, 1), as one on (xi, eta, y^(r), 1)."""
-        n = self.r + self.q
-        at, off = ([*v[:n], *(v[n + 1 :] or [Fraction(0)] * self.p), v[n]] for v in row)
-        return Row(at, off)
+    def ordered(self, ball: Ball, k: int) -> Row:
+        """Return a row of a matrix on (xi, eta, 1, y^(r)), or on (xi, eta, 1), as one on (xi, eta, y^(r), 1)."""
+        n, row = self.r + self.q, (ball.centre[k], (ball.radius or times(ball.centre, 0))[k])
+        return Row(*([*v[:n], *(v[n + 1 :] or [Fraction(0)] * self.p), v[n]] for v in row))
 
     def moved(self, row: Row) -> Row:
         """Return a row on (xi, eta, y^(r), 1) as one on (v, z, 1)."""
@@ -123,8 +116,9 @@ def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
     return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
 
 
-def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the intervals of the inputs for all set-points, and what they claim."""
+    content = whole["set_points"]
     if content is None:
         return [], []
     kept = ToldSetPoints(content, loop.plant, whole["generator"])
@@ -175,10 +169,8 @@ def drives(kept: ToldSetPoints, rates: list[list[Row]], cell: int) -> Any:
         most = Fraction(0)
         for rate in rates:
             if rate is not own:
-                off = [
-                    abs(a - b) + r + s
-                    for a, b, r, s in zip(rate[j].at, own[j].at, rate[j].off, own[j].off, strict=True)
-                ]
+                pairs = zip(rate[j].at, own[j].at, rate[j].off, own[j].off, strict=True)
+                off = [abs(a - b) + r + s for a, b, r, s in pairs]
                 most = max(most, dot(off[: len(kept.widths)], kept.widths))
         most += own[j].sizes[-1]
         if most:

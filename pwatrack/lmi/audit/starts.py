@@ -11,13 +11,14 @@ from .matrices import AuditFault, Matrix, added, definite, product, transposed
 from .reading import distinct, matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
 
-KEY = "limits"
 OF_STATE = ("output", "state", "measured")  # signals of x - x_d alone
-SHAPE = [of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}]
+STARTS = of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}
+SHAPE = {"limits": [STARTS]}
 
 
-def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds of signals from all boxes of starts, and what they claim."""
+    found = whole["limits"]
     faults = [f"starts {k}: {fault}" for k, entry in enumerate(found, 1) for fault in near(loop, entry)]
     return faults, [f"the bounds of signals with limits from {len(found)} boxes of starts are proved"] if found else []
 

@@ -59,8 +59,9 @@ class AuditedErrors:
         self.predicted = max(1, content["delay"])
         self.widths = [self.n, self.m, *[self.N] * self.predicted, *[len(self.R[0])] * self.predicted]
         self.kept, self.held = sum(self.widths[: 2 + self.predicted]), sum(self.widths)
+        self.p = 0 if self.estimates is None else self.estimates.p
         if self.estimates is not None:
-            self.widths += [self.estimates.k + self.estimates.p, self.estimates.p]
+            self.widths += [self.estimates.k + self.p, self.p]
             if share and any(map(any, self.estimates.S[0])):
                 raise AuditFault("ticks come early and late, and a load oscillates")
         self.order, self.period = sum(self.widths), number(content["sample_time"])
@@ -156,25 +157,22 @@ class AuditedErrors:
         d, eye = self.predicted, Ball(identity(self.N, 1))
         corrected = eye + self.M @ self.plant.seen_C
         seen = self.row(self.N, {1 + d: eye} if self.late else {2: corrected})
-        delta = None
-        if self.estimates is not None and self.estimates.p:
-            delta = self.row(self.estimates.p, {len(self.widths) - 1: Ball(identity(self.estimates.p, 1))})
+        delta = self.row(self.p, {len(self.widths) - 1: Ball(identity(self.p, 1))})
         e, first = self.row(self.n, {0: Ball(identity(self.n, 1))}), self.row(self.N, {2: corrected})
         older, rho = [self.row(self.N, {1 + i: eye}) for i in range(1, d)], zero(self.held - self.kept, self.order)
-        return [stacked(e, nu, first, *older, rho, *rest) for nu, rest in self.put_out(e, seen, delta)]
+        return [stacked(e, nu, first, *older, rho, rest) for nu, rest in self.put_out(e, seen, delta)]
 
-    def put_out(self, e: Ball, seen: Ball, delta: Ball | None) -> list[tuple[Ball, list[Ball]]]:
+    def put_out(self, e: Ball, seen: Ball, delta: Ball) -> list[tuple[Ball, Ball]]:
         """Return nu, and epsilon and delta after it, made of e, of an observer's error and of delta before it."""
         nu = self.K @ (e + seen.rows(0, self.n))
         sigma = seen.rows(self.n, self.N)
         if self.estimates is None:
             U = Ball([[Fraction(k == at) for at in self.at] for k in range(self.m)])
-            return [(nu - U @ sigma if self.late and self.at else nu, [])]
-        epsilon, found = sigma if delta is None else stacked(sigma, delta), list[tuple[Ball, list[Ball]]]()
+            return [(nu - U @ sigma if self.late and self.at else nu, delta)]
+        epsilon = stacked(sigma, delta)
         nu = nu - self.K @ self.estimates.x_d @ epsilon
-        for more, after in self.estimates.vertices(self.period):
-            found.append((nu + more @ epsilon, [epsilon] if after is None else [epsilon, after @ epsilon]))
-        return found
+        vertices = self.estimates.vertices(self.period)
+        return [(nu + more @ epsilon, stacked(epsilon, after @ epsilon)) for more, after in vertices]
 
     def row(self, height: int, blocks: dict[int, Ball]) -> Ball:
         """Return rows on them that are 0 but for some blocks."""

@@ -4,20 +4,21 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from .balls import Ball, beyond, falls, less_square, sides, squared, stacked, unlike, zero
+from .balls import Ball, beyond, falls, less_square, sides, squared, stacked, unit, unlike, zero
 from .bounds import CHANNEL, SIGNALS, Loop
 from .clocked import Form, predicted, shrinks
-from .matrices import AuditFault, added, definite, identity, times
+from .matrices import AuditFault, added, definite, times
 from .reading import distinct, number, packed, place
 from .shape import NUMBER, PACKED, WHOLE, of
 from .ticks import AuditedErrors
 
-KEY = "sampled_bounds"
-SHAPE = [{"channel": CHANNEL, "Q": [PACKED], "signals": SIGNALS, "summed": WHOLE} | of(NUMBER, "a b")]
+TUBES = [{"channel": CHANNEL, "Q": [PACKED], "signals": SIGNALS, "summed": WHOLE} | of(NUMBER, "a b")]
+SHAPE = {"sampled_bounds": TUBES}
 
 
-def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the tubes, and what they claim."""
+    found = whole["sampled_bounds"]
     if not found:
         return [], []
     if whole["sampled"] is None:
@@ -108,10 +109,9 @@ class Tubes:
         nothing, rest = zero(errors.order, 1), zero(errors.order - errors.held, 1)
         none = [nothing] * len(errors.ticks)
         if kind == "noise":
-            M, p = errors.M.column(k), errors.widths[-1] if rest.centre else 0
-            put_out = errors.put_out(e, Delta if errors.late else M, zero(p, 1) if p else None)
-            others = (d - 1) * [Delta] + d * [rho]
-            return nothing, nothing, [stacked(e, nu, M, *others, *more) for nu, more in put_out]
+            M, others = errors.M.column(k), (d - 1) * [Delta] + d * [rho]
+            put_out = errors.put_out(e, Delta if errors.late else M, zero(errors.p, 1))
+            return nothing, nothing, [stacked(e, nu, M, *others, more) for nu, more in put_out]
         if kind == "nominal":
             at = errors.followed[k]
             mean = errors.mean.column(at)
@@ -145,8 +145,3 @@ class Tubes:
         if kind == "output":
             return sides(tracked.row(k), zero(1, self.errors.order - n))
         return unit(self.errors.order, {"state": 0, "input": n, "estimate": n + m}[kind] + k).T
-
-
-def unit(order: int, k: int) -> Ball:
-    """Return a column of the identity."""
-    return Ball(identity(order, 1)).column(k)
