@@ -13,12 +13,13 @@ from typing import TypeVar
 
 import clarabel
 import numpy as np
+from scipy import sparse
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from pwatrack.arrays import Array, balancing, symmetric_part
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.chain_map import Bound, ChainMap, Term
-from pwatrack.lmi.cone_program import minimise, sparsely, symmetric_of, upper
+from pwatrack.lmi.cone_program import minimise, symmetric_of, upper
 from pwatrack.lmi.primal_dual import least
 
 _FIRST = 8  # vertices that are asked for at first, at each end of a segment; of fewer all
@@ -161,6 +162,15 @@ class ClockedForms:
                 return found
         return None
 
+    def solved(
+        self, fixed: Sequence[Bound], bound: Callable[[Segment, int], Bound], gap: float, weight: Array | None = None
+    ) -> Array | None:
+        """Return P, (knots, n, n), with some bounds and those of the vertices that are asked for; see `ChainMap`."""
+        bounds = [*fixed, *(bound(segment, i) for segment, some in self.asked.items() for i in some)]
+        chain = ChainMap(bounds, self.count, weight)
+        v = least(chain, gap=gap)
+        return None if v is None else chain.matrices(v)
+
     def fastest(self, most: float, looks: int) -> Forms | None:
         """Return forms that prove nearly the largest rate, below one that none can."""
         program, first = self, self.at(0.0)
@@ -261,16 +271,17 @@ def _by_cones(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None
     """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
     n = len(bounds[0].T)
     unit = upper(np.eye(n))
-    size, width = len(unit), count * len(unit)
+    size = len(unit)
     basis = symmetric_of(np.eye(size), n)  # of size 1 each
-    images = []
+    images = list[dict[int, Array]]()
     for bound in bounds:
         halves = {k: L @ basis @ R for k, (L, R) in bound.terms.items()}
         images.append({k: upper(symmetric_part(X)).T for k, X in halves.items()} | {count: upper(bound.T)[:, None]})
     images.append({0: np.outer(unit, unit) / n})  # the mean eigenvalue of P_0, at most 1
-    G = sparsely(images, size, width + 1)
+    blocks = [[sparse.coo_matrix(parts[k]) if k in parts else None for k in range(count + 1)] for parts in images]
+    G = sparse.bmat(blocks, format="csc")
     cones = [clarabel.PSDTriangleConeT(n)] * len(images)
-    cost, sides = np.append(np.zeros(width), -1.0), np.append(np.zeros(len(bounds) * size), unit)
+    cost, sides = np.append(np.zeros(count * size), -1.0), np.append(np.zeros(len(bounds) * size), unit)
     try:
         x = np.array(minimise(cost, G, sides, cones, _GAP).x)
     except ArithmeticError:

@@ -28,12 +28,11 @@ import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.lmi.chain_map import Bound, ChainMap
+from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, looked_for, shrunk
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
 from pwatrack.lmi.norm import root_above, square_above
-from pwatrack.lmi.primal_dual import least
 from pwatrack.rational import Rational, floats, is_positive_definite, number, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
@@ -87,7 +86,18 @@ class TubeProgram:
         for J_j, kick in zip(J, kicking, strict=True):
             left = J_j / np.sqrt(1 - b)
             fixed.append(_kept(count - 1, 0, left, self._seen(left), rest + np.outer(kick, kick) / size))
-        found = self._solved(F + a / 2 * eye, pushed, W, fixed)
+        F, step = F + a / 2 * eye, self.clock.step
+
+        def solved() -> Array | None:
+            return self.clock.solved(fixed, lambda s, i: _left(s, step * F[i], step * pushed[i]), _GAP, W / count)
+
+        def lowest(Q: Array, segment: Segment) -> Array:
+            k, after, e = segment
+            product = F @ Q[e]
+            left = Q[after] - Q[k] - step * (product + product.transpose(0, 2, 1) + pushed)
+            return np.asarray(np.linalg.eigvalsh(left)[:, 0])
+
+        found = self.clock.of_few(solved, lowest, _WORST)
         return None if found is None else [size * back @ Q @ back.T for Q in found]
 
     @cached_property
@@ -100,35 +110,18 @@ class TubeProgram:
         """No z falls faster for all vertices, in 1/s: what one does by itself."""
         return self.clock.most
 
-    def _solved(self, F: Array, pushed: Array, W: Array, fixed: list[Bound]) -> Array | None:
-        """Return Q at the knots that satisfy all inequalities, (knots, n, n), or None."""
-
-        def solved() -> Array | None:
-            asked = self.clock.asked.items()
-            bounds = fixed + [self._bound(s, F[i], pushed[i]) for s, some in asked for i in some]
-            chain = ChainMap(bounds, self.clock.count, W / self.clock.count)
-            found = least(chain, gap=_GAP)
-            return None if found is None else chain.matrices(found)
-
-        def lowest(Q: Array, segment: Segment) -> Array:
-            k, after, e = segment
-            product = F @ Q[e]
-            left = Q[after] - Q[k] - self.clock.step * (product + product.transpose(0, 2, 1) + pushed)
-            return np.asarray(np.linalg.eigvalsh(left)[:, 0])
-
-        return self.clock.of_few(solved, lowest, _WORST)
-
-    def _bound(self, segment: Segment, F: Array, pushed: Array) -> Bound:
-        """Return −(Q_{k+1} − Q_k) + step (F Q_e + Q_e Fᵀ + pushed) ⪯ 0."""
-        (k, after, e), eye = segment, np.eye(len(F))
-        terms = {k: eye / 2, after: -eye / 2}
-        terms[e] = terms[e] + self.clock.step * F
-        return Bound({j: (L, eye) for j, L in terms.items()}, self.clock.step * pushed)
-
     def _seen(self, J: Array) -> Array:
         """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
         U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
         return np.asarray(U.T / np.sqrt(np.clip(s, self.most * self.clock.period, 1.0))[:, None])
+
+
+def _left(segment: Segment, F: Array, pushed: Array) -> Bound:
+    """Return −(Q_{k+1} − Q_k) + F Q_e + Q_e Fᵀ + pushed ⪯ 0."""
+    (k, after, e), eye = segment, np.eye(len(F))
+    terms = {k: eye / 2, after: -eye / 2}
+    terms[e] = terms[e] + F
+    return Bound({j: (L, eye) for j, L in terms.items()}, pushed)
 
 
 def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:

@@ -173,7 +173,8 @@ class LinearMap:
         self.values = np.array([value for _, value in program.equalities])
 
     @cached_property
-    def _rooms(self) -> tuple[Array, Array]:
+    def rooms(self) -> tuple[Array, Array]:
+        """Where a matrix of the normal equations, and its factor, are written."""
         return np.zeros((self.main, self.main)), np.empty((self.main, self.main))
 
     def parts(self, v: Array) -> tuple[Array, Array, float]:
@@ -214,7 +215,7 @@ class LinearMap:
 
     def step(self, scalings: Sequence[Scaling]) -> "Equations":
         """Return the equations of a step, factorized."""
-        return Equations(self, scalings, self._rooms)
+        return Equations(self, scalings)
 
     def _add_adjoint(self, result: Array, side: Side, Z: Array) -> None:
         if side.L is not None:
@@ -245,7 +246,7 @@ class LinearMap:
             self._fill_P(H, terms)
         if terms["g"]:
             g, h, q = (np.concatenate(terms[name]) for name in "ghq")
-            Y = _paired(g, g).transpose(3, 0, 1, 2) + _paired(h, q).transpose(3, 0, 2, 1)
+            Y = np.tensordot(g, g, (0, 0)).transpose(3, 0, 1, 2) + np.tensordot(h, q, (0, 0)).transpose(3, 0, 2, 1)
             H[k:-1, k:-1] = 2 * Y.reshape(self.m * self.n, self.m * self.n)
         if terms["a"]:
             self._fill_Y(H, terms)
@@ -276,12 +277,12 @@ class LinearMap:
 class Equations:
     """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
 
-    def __init__(self, linear: LinearMap, scalings: Sequence[Scaling], rooms: tuple[Array, Array]) -> None:
+    def __init__(self, linear: LinearMap, scalings: Sequence[Scaling]) -> None:
         self._linear, self._scalings = linear, scalings
         w = np.empty(linear.blocks.size)
         for W, scaling in zip(linear.blocks.stacks(w), scalings, strict=True):
             np.matmul(scaling.E.transpose(0, 2, 1), scaling.E, out=W)
-        H, room = rooms
+        H, room = linear.rooms
         self._corner = linear.normal(w, H)
         self._normal = Normal(H, room)
 
@@ -292,10 +293,7 @@ class Equations:
 
     def adjoint(self, changes: Sequence[Array]) -> Array:
         """Return A*(Z) for scaled stacks of Z."""
-        z = np.empty(self._linear.blocks.size)
-        for Z, change, scaling in zip(self._linear.blocks.stacks(z), changes, self._scalings, strict=True):
-            Z[:] = scaling.back(change)
-        return self._linear.adjoint(z)
+        return self._linear.adjoint(self._linear.blocks.unscaled(changes, self._scalings))
 
     def solve(self, right: Array) -> Array:
         """Return v whose scaled left-hand sides have this adjoint."""
@@ -354,11 +352,6 @@ def _back(X: Array, E: Array | None) -> Array:
     return X if E is None else np.asarray(X @ E.transpose(0, 2, 1))
 
 
-def _paired(first: Array, second: Array) -> Array:
-    """Return Σ_k first_k[a, b] second_k[c, d] as (a, b, c, d): one matrix product."""
-    return np.asarray(np.tensordot(first, second, axes=([0], [0])))
-
-
 class Normal:
     """H x = r for a positive semidefinite H, of which the lower triangle is read.
 
@@ -382,3 +375,73 @@ class Normal:
     def solve(self, right: Array) -> Array:
         """Return x."""
         return np.asarray(lapack.dpotrs(self._factor.T, right, lower=0)[0])
+
+
+class DenseMap(LinearMap):
+    """A `LinearMap` that keeps the left-hand sides of all unit vectors, and has all constraints in one stack.
+
+    Of small programs the products are so small that their number counts, not their size.
+    """
+
+    def __init__(self, program: SemidefiniteProgram) -> None:
+        super().__init__(program, padded=True)
+        self.images = np.zeros((self.size, self.blocks.size))
+        cells, order = self.blocks.shapes[0]
+        stack, first = self.images.reshape(self.size, cells, order, order), 0
+        for side, c in zip(self.sides, program.constraints, strict=True):
+            last, N = first + len(c.constant), c.constant.shape[1]
+            self._write(stack[:, first:last, :N, :N], side, N)
+            first = last
+        if self.V is not None:
+            k = self.W.n
+            stack[: self.P.size, -1, k : k + self.n, k : k + self.n] = -_units(self.P)
+            stack[self.main :, -1, :k, :k] = -_units(self.W)
+
+    def _write(self, out: Array, side: Side, N: int) -> None:
+        k, eye = self.P.size, np.eye(N)[None]
+        if side.L is not None:
+            whole = _outer(side.L, eye if side.R is None else side.R)
+            out[:k] = symmetric_part(whole[self.P.rows, self.P.columns] + whole[self.P.columns, self.P.rows])
+        if side.M is not None:
+            whole = _outer(side.M, eye if side.N is None else side.N)
+            out[k : self.main - 1] = symmetric_part(whole.reshape(-1, *whole.shape[2:]))
+        if side.T is not None:
+            out[self.main - 1] = side.T
+
+    def apply(self, v: Array) -> Array:
+        return np.asarray(v @ self.images)
+
+    def adjoint(self, z: Array) -> Array:
+        return np.asarray(self.images @ z)
+
+    def step(self, scalings: Sequence[Scaling]) -> Equations:
+        return DenseEquations(self, scalings[0])
+
+
+class DenseEquations(Equations):
+    """`Equations` with the left-hand sides of all unit vectors."""
+
+    def __init__(self, linear: DenseMap, scaling: Scaling) -> None:
+        self._shape = scaling.E.shape
+        self._images = scaling.into(linear.images.reshape(-1, *self._shape)).reshape(linear.images.shape)
+        self._normal = Normal(self._images @ self._images.T)
+
+    def apply(self, v: Array) -> list[Array]:
+        return [(v @ self._images).reshape(self._shape)]
+
+    def adjoint(self, changes: Sequence[Array]) -> Array:
+        return np.asarray(self._images @ changes[0].ravel())
+
+    def solve(self, right: Array) -> Array:
+        return self._normal.solve(right)
+
+
+def _outer(front: Array, back: Array) -> Array:
+    """Return front_i[:, j] back_i[k, :] as (j, k, i, row, column)."""
+    return np.asarray(front.transpose(2, 0, 1)[:, None, :, :, None] * back.transpose(1, 0, 2)[None, :, :, None, :])
+
+
+def _units(of: Triangle) -> Array:
+    units, k = np.zeros((of.size, of.n, of.n)), np.arange(of.size)
+    units[k, of.rows, of.columns] = 1.0
+    return symmetric_part(units)

@@ -4,12 +4,11 @@ from fractions import Fraction
 from itertools import accumulate
 from typing import Any
 
-from .balls import Ball, added_or, sides, sizes, stacked, unlike, zero
+from .balls import Ball, added_or, outermost, sides, sizes, stacked, unlike, zero
 from .form import coordinates
 from .matrices import AuditFault, added, identity, inverted, product, rank, transposed
 from .plant import AuditedPlant
 from .reading import matrix
-from .vertices import outermost
 
 _TURNS = 64  # h times the size of F: a sample in which it turns further is not looked at
 _TAIL = Fraction(1, 2**60)  # share of h below which the rest of a sum may be
@@ -115,7 +114,7 @@ def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
 
 def size_of(ball: Ball) -> Fraction:
     """Return the largest sum of the sizes in a row."""
-    return max(sum(row, Fraction(0)) for row in added_or(sizes(ball.centre), ball.radius))
+    return max(sum(row, Fraction(0)) for row in ball.most)
 
 
 def short(ball: Ball, digits: int) -> Ball:

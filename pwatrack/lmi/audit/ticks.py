@@ -6,13 +6,12 @@ from functools import cached_property, partial, reduce
 from itertools import permutations, product
 from typing import Any
 
-from .balls import Ball, sides, stacked, unlike, zero
+from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
 from .estimates import Estimates
 from .matrices import AuditFault, identity
 from .plant import AuditedPlant
 from .reading import matrix, number
-from .vertices import outermost, within
 
 MOST_LATE = 10  # samples: as late as inputs may be
 MOST_FLOWS = 100_000  # more would take days
