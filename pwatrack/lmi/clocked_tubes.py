@@ -32,7 +32,7 @@ from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, looked_for, shrunk
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
-from pwatrack.lmi.norm import root_above, square_above
+from pwatrack.lmi.norm import sizes_in, square_above
 from pwatrack.rational import Rational, floats, is_positive_definite, number, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
@@ -189,7 +189,8 @@ def tube(
         for bits in _BITS:
             Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found)
             if contains(system, driven, Q, a, b, summed=summed):
-                return Tube(Q=Q, a=a, b=b, sizes=tuple(sizes_in(Q, rows)), summed=summed)
+                sizes = zip(*(sizes_in(Q_k.P, rows) for Q_k in Q), strict=True)
+                return Tube(Q=Q, a=a, b=b, sizes=tuple(map(max, sizes)), summed=summed)
     return None
 
 
@@ -218,14 +219,6 @@ def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: f
                     if not is_positive_definite(left_side(F, Q_e) - pushed):
                         return False
     return True
-
-
-def sizes_in(Q: Sequence[Packed], rows: BallMatrix) -> Iterator[float]:
-    """Yield max_k (c Q_k cᵀ)^½ for each row, rounded up."""
-    squares = [rows @ BallMatrix(Q_k.P) @ rows.transpose() for Q_k in Q]
-    most = [X.centre if X.radius is None else X.centre + X.radius for X in squares]
-    for k in range(rows.shape[0]):
-        yield max(root_above(X[k, k]) for X in most)
 
 
 def _columns(system: Clocked, driven: Drive) -> list[BallMatrix]:

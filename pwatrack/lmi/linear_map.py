@@ -67,16 +67,6 @@ class Side:
             return np.asarray(Z.reshape(-1, Z.shape[2]).T @ self.L.reshape(-1, self.L.shape[2]))
         return np.asarray(_front(self.R, _both(Z, self.L, self.R)).sum(axis=0))
 
-    def of_Y(self, Z: Array) -> Array:
-        """Return G (m, n) with Σ G_jk Y_jk = ½ Σ tr Z_i A_i(Y)."""
-        assert self.M is not None
-        return np.asarray(_front(self.N, _both(Z, self.M, self.N)).sum(axis=0).T)
-
-    def of_t(self, Z: Array) -> float:
-        """Return Σ tr Z_i T_i."""
-        assert self.T is not None
-        return float(np.vdot(Z if len(self.T) == len(Z) else Z.sum(axis=0, keepdims=True), self.T))
-
 
 @dataclass(frozen=True)
 class Corner:
@@ -221,9 +211,11 @@ class LinearMap:
         if side.L is not None:
             result[: self.P.size] += 2 * self.P.row(side.of_P(Z))
         if side.M is not None:
-            result[self.P.size : self.main - 1] += 2 * side.of_Y(Z).ravel()
+            half = _front(side.N, _both(Z, side.M, side.N)).sum(axis=0).T
+            result[self.P.size : self.main - 1] += 2 * half.ravel()
         if side.T is not None:
-            result[self.main - 1] += side.of_t(Z)
+            each = Z if len(side.T) == len(Z) else Z.sum(axis=0, keepdims=True)
+            result[self.main - 1] += float(np.vdot(each, side.T))
 
     def normal(self, w: Array, H: Array) -> Corner | None:
         """Write the lower triangle of H with v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i; W is eliminated from it."""

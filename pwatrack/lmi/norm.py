@@ -194,6 +194,13 @@ def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Frac
     return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
 
 
+def sizes_in(Q: Rational, rows: BallMatrix) -> tuple[float, ...]:
+    """Return (c Q cᵀ)^½ for each row c, or the largest in its ball, rounded up."""
+    square = rows @ BallMatrix(Q) @ rows.transpose()
+    most = square.centre if square.radius is None else square.centre + square.radius
+    return tuple(root_above(most[k, k]) for k in range(rows.shape[0]))
+
+
 def root_above(value: Any) -> float:
     """Return a float just above the root of a rational number.
 

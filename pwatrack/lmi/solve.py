@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from math import prod
 from typing import TypeVar
 
 import numpy as np
@@ -96,7 +97,7 @@ def minimised(
         2.0
     """
     unknowns, at, places = {}, 0, {}
-    sizes = {name: _count(name, shape) for name, shape in shapes.items()}
+    sizes = {name: prod(shape) if name != "Q" else shape[0] * (shape[0] + 1) // 2 for name, shape in shapes.items()}
     total = sum(sizes.values())
     for name, shape in shapes.items():
         batch = np.zeros((1 + total, sizes[name]))
@@ -114,10 +115,6 @@ def minimised(
     if x is None or not np.isfinite(x).all():
         return None
     return {name: _shaped(name, shape, x[None, places[name]])[0] for name, shape in shapes.items()}
-
-
-def _count(name: str, shape: tuple[int, ...]) -> int:
-    return shape[0] * (shape[0] + 1) // 2 if name == "Q" else int(np.prod(shape))
 
 
 def _shaped(name: str, shape: tuple[int, ...], entries: Array) -> Array:

@@ -24,11 +24,16 @@ class AuditedPlant:
         radius = content["radius"]
         self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
         self.elements = Elements(content) if "elements" in content else None
-        self.cells = Cells(content if self.elements is None else {"H": [], "h": [], "signs": []})
-        self.A, self.b = self.listed(content) if self.elements is None else self.corners(self.elements, named, radius)
-        self.names = content["cells"] if self.elements is None else []
-        self.count = len(self.names) if self.elements is None else self.elements.count
-        self.named = list(range(self.count)) if self.elements is None else list(named)  # the last of A are theirs
+        if self.elements is None:
+            self.cells, self.names = Cells(content), content["cells"]
+            self.A, self.b = self.listed(content)
+            self.count, self.named = len(self.names), [*range(len(self.names))]
+        else:
+            if radius["A"] or radius["b"]:
+                raise AuditFault("the numbers of elements are exact")
+            self.cells, self.names = Cells({"H": [], "h": [], "signs": []}), []
+            self.A, self.b = self.elements.fields([*self.elements.corners, *map(self.elements.segments, named)])
+            self.count, self.named = self.elements.count, [*named]  # the last of A are theirs
         self.loads: tuple[Ball, Ball] | None = None
         self.seconds = set[int]()  # states of loads that are the second of a sinusoid
         self.seen_A, self.seen_C = self.A, self.C
@@ -56,12 +61,6 @@ class AuditedPlant:
             raise AuditFault("two hyperplanes are one")
         A, b = ([ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b"))
         return A, b
-
-    def corners(self, elements: Elements, named: Sequence[int], radius: Any) -> tuple[list[Ball], list[Ball]]:
-        """Return what stands for A_i and b_i of cells that are not listed."""
-        if radius["A"] or radius["b"]:
-            raise AuditFault("the numbers of elements are exact")
-        return elements.fields([*elements.corners, *map(elements.segments, named)])
 
     def name(self, i: int) -> str:
         """Return what a cell is called."""

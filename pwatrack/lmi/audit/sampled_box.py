@@ -28,10 +28,10 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("the rate of the sampled loop for uncertain parameters is out of range")
     box = UncertainLoop(whole["plant"], whole["uncertain"]["corners"], loop.K, loop.L)
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
-    wrong = growing(errors, whole["sampled"], content["P"], errors.ticks, rate)
+    wrong = growing(errors, content["P"], errors.ticks, rate)
     said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s, {len(errors.flows)} flows proved"
     faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
     if found:
-        outside, claimed = left(found, Tubes(errors, whole["sampled"], []), " for uncertain parameters")
+        outside, claimed = left(found, Tubes(errors, []), " for uncertain parameters")
         faults, more = faults + outside, more + claimed
     return faults, more

@@ -31,14 +31,14 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if errors.late or errors.estimates is not None:
         raise AuditFault("regions are not said of late inputs, and of loads that do not only act at inputs")
     kind_of(loop, "joint")
-    each = (wrong(errors, entry, whole) for entry in found)
+    each = (wrong(errors, entry) for entry in found)
     faults = [f"sampled region {k}: {fault}" for k, some in enumerate(each, 1) for fault in some]
     every = any(entry["of"] == "every" for entry in found)
     starts = "every start" if every else f"{len(found)} boxes of starts"
     return faults, [f"with inputs at their limits errors of the sampled loop go to 0 from {starts}"]
 
 
-def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
+def wrong(errors: AuditedErrors, entry: Any) -> list[str]:
     """Return what is wrong with one region."""
     H, P = matrix(entry["H"]), packed(entry["P"][-1])[0]
     inputs = [place(k, errors.m) for _, k, _ in entry["signals"]]
@@ -59,7 +59,7 @@ def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
         most = number(size)
         if any(row) and not (most > 0 and definite(added(P, [[a * b / most**2 for b in row] for a in row], -1))):
             faults.append(f"{kind} {k} is not bounded by {size}")
-    return faults + growing(errors, whole["sampled"], entry["P"], ticks(errors, inputs, changing, H), Fraction(0))
+    return faults + growing(errors, entry["P"], ticks(errors, inputs, changing, H), Fraction(0))
 
 
 def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:

@@ -67,6 +67,7 @@ class AuditedErrors:
         self.cells = outermost(plant.A)
         self.own = self.cells if watched is None else outermost(watched.A)
         self.changes = outermost([one - other for one, other in permutations(self.own, 2)])
+        self.parts = content["substeps"] if self.changes else 1
         self.read = [self.gain(change) for change in self.changes]
         if self.R[0] and not self.changes:
             raise AuditFault("the rows of the sampled loop do not span the differences of its cells")

@@ -1,14 +1,14 @@
 """What is left of the errors of a loop that is sampled: tubes that depend on the time since a tick."""
 
 from fractions import Fraction
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 from .balls import Ball, beyond, falls, less_square, sides, squared, stacked, unit, unlike, zero
 from .bounds import CHANNEL, SIGNALS, Loop
-from .clocked import Form, predicted, shrinks
+from .clocked import Form, predicted, runs_of, shrinks
 from .matrices import AuditFault, added, definite, times
-from .reading import distinct, number, packed, place
+from .reading import distinct, number, place
 from .shape import NUMBER, PACKED, WHOLE, of
 from .ticks import AuditedErrors
 
@@ -24,7 +24,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     merged = [] if whole["practical"] is None else whole["practical"]["merged"]
-    return left(found, Tubes(AuditedErrors(whole["sampled"], loop, predicted(whole)), whole["sampled"], merged), "")
+    return left(found, Tubes(AuditedErrors(whole["sampled"], loop, predicted(whole)), merged), "")
 
 
 def left(found: Any, tubes: "Tubes", of: str) -> tuple[list[str], list[str]]:
@@ -41,27 +41,21 @@ class Tubes:
     Of what is summed g g^T < Q_e in place of the term with g.
     """
 
-    def __init__(self, errors: AuditedErrors, sampled: Any, merged: Any) -> None:
+    def __init__(self, errors: AuditedErrors, merged: Any) -> None:
         self.merged = [Ball([[number(v)] for v in one["direction"]]) for one in merged]
-        self.errors = errors
-        self.parts, self.period = sampled["substeps"] if errors.changes else 1, number(sampled["sample_time"])
-        self.sizes = errors.n, errors.m, errors.N, len(errors.R[0])
+        self.errors, self.sizes = errors, (errors.n, errors.m, errors.N, len(errors.R[0]))
 
     def faults(self, entry: Any) -> list[str]:
         """Return what is wrong with one tube."""
         errors, a, b = self.errors, number(entry["a"]), number(entry["b"])
-        forms, ticks = [packed(Q) for Q in entry["Q"]], entry["channel"][0] == "noise"
-        knots, rest = divmod(len(forms), self.parts)
-        if rest or knots < 2 or any(len(Q) != errors.order for Q, _ in forms):
-            raise AuditFault("the tube of the sampled loop is not that of its knots")
-        summed = entry["summed"] == 1
+        runs = runs_of(errors, entry["Q"], "the tube of the sampled loop is not that of its knots")
+        forms, ticks, summed = [*chain(*runs)], entry["channel"][0] == "noise", entry["summed"] == 1
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
         if entry["summed"] not in (0, 1) or (summed and ticks):
             raise AuditFault("only what acts between ticks is summed")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
         held, between, kicks = self.drive(entry["channel"])
-        runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
         (last, powers), (first, others) = runs[-1][-1], runs[0][0]
         for tick, kick in zip(errors.ticks, kicks, strict=True):
             inside = less_square(first, others, kick, 1 / b) if ticks else first
@@ -83,7 +77,7 @@ class Tubes:
     def inside(self, run: list[Form], flows: list[tuple[Ball, Ball]], a: Fraction, summed: bool) -> bool:
         """Decide that a tube is not left in a substep."""
         for one, other in pairwise(run):
-            fall = times(added(one[0], other[0], -1), (len(run) - 1) * self.parts / self.period)
+            fall = times(added(one[0], other[0], -1), (len(run) - 1) * self.errors.parts / self.errors.period)
             for F, g in flows:
                 square, open_ = squared(g, 1 / a) if a and not summed else ([], [])
                 rest = added(fall, square) if square else fall
