@@ -200,14 +200,13 @@ def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: f
     if N < 1 or len(Q) != system.parts * (N + 1) or not all(is_positive_definite(Q_k.P) for Q_k in Q):
         return False
     parts = [Q[j : j + N + 1] for j in range(0, len(Q), N + 1)]
-    if not all(is_positive_definite(left) for left in _jumps(system, driven, parts, Fraction(repr(b)))):
+    if not all(map(is_positive_definite, _jumps(system, driven, parts, Fraction(repr(b))))):
         return False
-    slope, columns = number(Fraction(N * system.parts) / system.period), _columns(system, driven)
-    if summed and not all(
-        is_positive_definite(Q_k.P - square_above(column, [Fraction(1)], Q_k.scale))
-        for column in different(columns)
-        for Q_k in Q
-    ):
+    slope = number(Fraction(N * system.parts) / system.period)
+    columns = [F @ driven.held + driven.between for F in system.F]
+    holding = different(columns) if summed else []
+    left = (Q_k.P - square_above(column, [Fraction(1)], Q_k.scale) for column in holding for Q_k in Q)
+    if not all(map(is_positive_definite, left)):
         return False
     for part in parts:
         for one, other in pairwise(part):
@@ -219,11 +218,6 @@ def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: f
                     if not is_positive_definite(left_side(F, Q_e) - pushed):
                         return False
     return True
-
-
-def _columns(system: Clocked, driven: Drive) -> list[BallMatrix]:
-    """Return g_i."""
-    return [F @ driven.held + driven.between for F in system.F]
 
 
 def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Packed]], b: Fraction) -> Iterator[Rational]:

@@ -182,10 +182,10 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate
 
 def proved_rate(left: Sequence[Rational], P: Rational, degree: int, rate: float) -> float | None:
     """Return a short decimal, the rate or a little less, with S − degree · rate P ≻ 0 for every S in `left`, if any."""
-    rates = (rounded_down(rate * (1 - given), 6) for given in GIVEN if left)
-    return next(
-        (r for r in rates if r > 0 and all(is_positive_definite(S - scalar(degree * r) * P) for S in left)), None
-    )
+    for shown in (rounded_down(rate * (1 - given), 6) for given in GIVEN if left):
+        if shown > 0 and all(is_positive_definite(S - scalar(degree * shown) * P) for S in left):
+            return shown
+    return None
 
 
 def whole(X: Array | Rational, exponents: Sequence[int]) -> Whole:

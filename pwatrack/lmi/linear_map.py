@@ -10,7 +10,6 @@ tr W is to be small. It stands in that inequality alone, so it is eliminated by 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,30 +24,17 @@ _RIDGES = (1e-15, 1e-13, 1e-11, 1e-9)  # of the diagonal of H, the first that wi
 # P = 0, Y = Ω Bᵀ, Ω skew, and near the end to working precision
 
 
-@dataclass(frozen=True, kw_only=True)
 class Side:
     """An `Inequality` with None for what is 0 (L with R, M with N, T) or the identity (R or N alone).
 
     What all cells have in common is there once.
     """
 
-    L: Array | None
-    R: Array | None
-    M: Array | None
-    N: Array | None
-    T: Array | None
-
-    @classmethod
-    def of(cls, c: Inequality) -> "Side":
-        """Read an inequality."""
-        has_P, has_Y = bool(c.L.any()), bool(c.M.any())
-        return cls(
-            L=_once(c.L) if has_P else None,
-            R=_unless_identity(c.R) if has_P else None,
-            M=_once(c.M) if has_Y else None,
-            N=_unless_identity(c.N) if has_Y else None,
-            T=None if c.T is None else _once(c.T),
-        )
+    def __init__(self, c: Inequality) -> None:
+        nothing: tuple[Array | None, Array | None] = None, None
+        self.L, self.R = (_once(c.L), _unless_identity(c.R)) if c.L.any() else nothing
+        self.M, self.N = (_once(c.M), _unless_identity(c.N)) if c.M.any() else nothing
+        self.T = None if c.T is None else _once(c.T)
 
     def add(self, out: Array, P: Array, Y: Array, t: float) -> None:
         """Add the left-hand sides without their constants to (l, N, N)."""
@@ -68,24 +54,18 @@ class Side:
         return np.asarray(_front(self.R, _both(Z, self.L, self.R)).sum(axis=0))
 
 
-@dataclass(frozen=True)
 class Corner:
     """W_i of [W, V; Vᵀ, P] ⪰ 0, in blocks: W_11 with its factor, Q = W_11⁻¹ W_12, S = W_22 − W_21 Q.
 
     A right-hand side (F, f) of W and P leaves f − Qᵀ F Q for P, and then ΔW = W_11⁻¹ F W_11⁻¹ − Q ΔP Qᵀ.
     """
 
-    factor: Array
-    Q: Array
-    S: Array
-
-    @classmethod
-    def of(cls, W: Array, order: int) -> "Corner":
+    def __init__(self, W: Array, order: int) -> None:
         """Split a matrix of which the first block has this order."""
         whole = np.linalg.cholesky(W)
-        factor, low, last = whole[:order, :order], whole[order:, :order], whole[order:, order:]
-        Q = solve_triangular(factor, low.T, lower=True, trans="T", check_finite=False)
-        return cls(np.asarray(factor), np.asarray(Q, dtype=np.float64), np.asarray(last @ last.T))
+        self.factor, low, last = whole[:order, :order], whole[order:, :order], whole[order:, order:]
+        self.Q: Array = solve_triangular(self.factor, low.T, lower=True, trans="T", check_finite=False)
+        self.S = last @ last.T
 
     def between(self, F: Array) -> Array:
         """Return W_11⁻¹ F W_11⁻¹."""
@@ -140,7 +120,7 @@ class LinearMap:
     def __init__(self, program: SemidefiniteProgram, *, padded: bool = False) -> None:
         """Read a program; padded, all matrices are filled up to the same order, by constraints 0 ≤ 1."""
         self.n, self.m, self.V = program.n, program.m, program.weight
-        self.sides = [Side.of(c) for c in program.constraints]
+        self.sides = [Side(c) for c in program.constraints]
         self.P = Triangle(self.n)
         self.W = Triangle(0 if self.V is None else len(self.V))
         self.main = self.P.size + self.m * self.n + 1
@@ -231,7 +211,7 @@ class LinearMap:
         corner = None
         if self.V is not None:
             W = parts[-1][0]
-            corner = Corner.of(W, self.W.n)
+            corner = Corner(W, self.W.n)
             terms["V"].append((corner.S / 2 + corner.Q.T @ W[: self.W.n, self.W.n :])[None])
             terms["U"].append(corner.S[None])
         if terms["U"]:

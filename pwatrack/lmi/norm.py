@@ -78,10 +78,11 @@ def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
     if not any(size.entries()):
         return 0.0
     c = _estimate(size, of.Q)
-    grow = _until(
-        1e-9, 10, lambda grow: is_positive_definite(of.Q * number(Fraction(c * (1 + grow)) ** 2) - size)
-    )  # of its rounding
-    return c * (1 + grow)
+
+    def above(grow: float) -> bool:
+        return is_positive_definite(of.Q * number(Fraction(c * (1 + grow)) ** 2) - size)
+
+    return c * (1 + _until(1e-9, 10, above))  # of its rounding
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -138,7 +138,7 @@ def _minimise(
     for number in range(_MOST):
         if scalings is None:
             break
-        rest = _Rest.of(linear, at)
+        rest = _Rest(linear, at)
         gap, mu = rest.gap, rest.gap / linear.blocks.order
         wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
@@ -171,33 +171,15 @@ def _minimise(
     return best
 
 
-@dataclass(frozen=True, kw_only=True)
 class _Rest:
     """What an iterate lacks: of the constraints, of the equalities, of the multipliers' equations; and where it is."""
 
-    missing: Array
-    lacking: Array
-    pull: Array  # A*(Z)
-    slope: Array
-    gap: float
-    objective: float
-
-    @classmethod
-    def of(cls, linear: LinearMap, at: _Iterate) -> "_Rest":
-        pull = linear.adjoint(at.z)
-        return cls(
-            missing=-linear.constant - at.image - at.s,
-            lacking=linear.values - linear.rows @ at.v,
-            pull=pull,
-            slope=-linear.cost - pull - at.y @ linear.rows,
-            gap=float(at.s @ at.z),
-            objective=float(linear.cost @ at.v),
-        )
-
-    @property
-    def missed(self) -> float:
-        """The largest of what v lacks."""
-        return float(max(np.abs(self.missing).max(), np.abs(self.lacking).max(initial=0.0)))
+    def __init__(self, linear: LinearMap, at: _Iterate) -> None:
+        self.missing, self.lacking = -linear.constant - at.image - at.s, linear.values - linear.rows @ at.v
+        self.missed = float(max(np.abs(self.missing).max(), np.abs(self.lacking).max(initial=0.0)))
+        self.pull = linear.adjoint(at.z)  # A*(Z)
+        self.slope = -linear.cost - self.pull - at.y @ linear.rows
+        self.gap, self.objective = float(at.s @ at.z), float(linear.cost @ at.v)
 
 
 def _beyond(value: float, rest: _Rest, against: float, share: float) -> bool:

@@ -240,9 +240,8 @@ def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Be
                 inverse=inverse,
                 radius=fraction_of(r),
             )
-        x = flint.fmpq_mat(
-            len(v), 1, [flint.fmpq(round(fraction_of(e) * 2**_BITS), 2**_BITS) for e in (x - step).entries()]
-        )
+        short = [flint.fmpq(round(fraction_of(e) * 2**_BITS), 2**_BITS) for e in (x - step).entries()]
+        x = flint.fmpq_mat(len(v), 1, short)
     return None
 
 
