@@ -1,8 +1,6 @@
 """The inequalities in PICOS notation, solved by Clarabel or CVXOPT.
 
 PICOS does not know Clarabel: it takes it through the `ad_hoc_solver` option that it offers for this.
-
-What comes back is a candidate. It proves nothing before `exact` has looked at it, whatever the solver says of it.
 """
 
 from collections.abc import Sequence

@@ -174,7 +174,7 @@ def _largest(M: Array, B: Array, D: Array, G: Array, room: Array, decay: float) 
         for j in np.flatnonzero(mask).tolist():
             yield _bounded(Q, Z[:, j : j + 1] / room[j], x["t"])
 
-    found = minimised("t", {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
+    found = minimised({"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
     if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
         return None
     return found["Q"], found["Z"] * mask, found["w"]
@@ -211,14 +211,14 @@ class LimitedGain:
                 corner = -symmetric_part((A_p + self.shift) @ x["Q"] + self.B @ x["Y"])
                 yield np.block([[corner, seen.transpose(0, 2, 1)], [seen, t * np.eye(len(rows) + m)]])
 
-        found = minimised("t", {**self._shapes, "t": ()}, blocks)
+        found = minimised({**self._shapes, "t": ()}, blocks)
         return None if found is None else LimitedFound(found["Q"], found["Y"])
 
     def farthest(self) -> tuple[LimitedFound, float] | None:
         """Return a gain for the largest multiple of the starts, and that multiple."""
         bounded = (self.room > 0) & np.isfinite(self.room)
         shapes = {**self._shapes, "t": ()}
-        found = minimised("t", shapes, lambda x: self._common(x, x["t"])) if bounded.any() else None
+        found = minimised(shapes, lambda x: self._common(x, x["t"])) if bounded.any() else None
         if found is None or not found["t"] > 0:
             return None
         return LimitedFound(found["Q"], found["Y"]), float(1 / np.sqrt(found["t"]))

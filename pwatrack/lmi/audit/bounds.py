@@ -30,10 +30,7 @@ def decided(loop: "Loop", whole: Any) -> tuple[list[str], list[str]]:
 
 
 class Loop:
-    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any.
-
-    What the certificate says of the generator is there for who needs it.
-    """
+    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any."""
 
     def __init__(self, plant: AuditedPlant, K: Matrix, L: Matrix, X: Ball | None, generator: Any = None) -> None:
         self.plant, self.K, self.L, self.X, self.generator = plant, K, L, X, generator

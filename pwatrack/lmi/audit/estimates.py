@@ -63,8 +63,7 @@ class Estimates:
         etas = [T[0].row(j) for j in range(r, self.n)]
         driven = (row @ (A @ X + self.push) for row in etas for _, A in unlike(plant.A))
         acted_on = any(open_ or any(map(any, centre)) for centre, open_ in driven)
-        self.p = len(etas) if acted_on else 0
-        self.own = stacked(*etas) if acted_on else None
+        self.p, self.own = (len(etas), stacked(*etas)) if acted_on else (0, Ball([]))
         self.x_d = sides(X, *map(T[0].inverse().column, range(r, r + self.p)))
         everywhere = plant.A if plant.elements is None else plant.elements.fields(plant.elements.slopes)[0]
         outer = outermost(plant.A)
@@ -74,11 +73,8 @@ class Estimates:
 
     def law(self, A: Ball) -> tuple[Ball, Ball]:
         """Return F_j and u_j of a cell."""
-        rate, F = A @ self.x_d, self.S
-        rate = rate + sides(self.push, zero(self.n, self.p))
-        if self.own is not None:
-            F = stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate)
-        return F, -(self.right @ self.C @ rate)
+        rate = A @ self.x_d + sides(self.push, zero(self.n, self.p))
+        return stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate), -(self.right @ self.C @ rate)
 
     def vertices(self, h: Fraction) -> list[tuple[Ball, Ball]]:
         """Return what is held beside u_j epsilon, and eta_hat - eta one sample later: rows on epsilon."""
