@@ -14,7 +14,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi import clocked_forms
 from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, proves
-from pwatrack.lmi.clocked_forms import MarginProgram
+from pwatrack.lmi.clocked_forms import best_margin
 from pwatrack.lmi.exact import Packed
 
 
@@ -140,12 +140,11 @@ def test_both_methods_find_the_same_margin(order: int, monkeypatch: pytest.Monke
     margins = list[float]()
     for small in (0, 99):
         monkeypatch.setattr(clocked_forms, "SMALL", small)
-        program = MarginProgram(order, 2)
-        for X in F:
-            program.add({k: program.less if k else (X.T, np.eye(order)) for k in (0, 1)}, np.eye(order))
-        program.add({1: program.less, 0: (J.T / 2, J)}, np.eye(order) / 10)
-        program.add({1: program.more, 0: program.less}, np.eye(order) / 10)
-        found = program.solved()
+        eye = np.eye(order)
+        less, more = (-eye / 2, eye), (eye / 2, eye)
+        bounds = [Bound({0: (X.T, eye), 1: less}, eye) for X in F]
+        bounds += [Bound({1: less, 0: (J.T / 2, J)}, eye / 10), Bound({1: more, 0: less}, eye / 10)]
+        found = best_margin(bounds, 2)
         assert found is not None
         (P, Q), t = found
         assert np.trace(P) <= order * (1 + 1e-6)

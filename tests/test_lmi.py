@@ -19,11 +19,10 @@ from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, Undecided
 from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.blocks import Scaling, step_length
-from pwatrack.lmi.dense_map import DenseMap
 from pwatrack.lmi.exact import prove
 from pwatrack.lmi.inequality import Inequality, Solver, lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute
-from pwatrack.lmi.linear_map import LinearMap
+from pwatrack.lmi.linear_map import DenseMap, LinearMap
 from pwatrack.lmi.multipliers import refutes
 from pwatrack.lmi.picos_model import ClarabelSolver
 from pwatrack.lmi.presolve import Coordinates, corners, distinct

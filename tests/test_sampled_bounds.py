@@ -27,8 +27,7 @@ from pwatrack.control.sampled_disturbances import Acting, driven, level, row
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.clocked import Clocked
-from pwatrack.lmi.clocked_tubes import Drive, Tube, tube
-from pwatrack.lmi.tube_program import TubeProgram
+from pwatrack.lmi.clocked_tubes import Drive, Tube, TubeProgram, tube
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation import acting

@@ -32,9 +32,8 @@ from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_search import work
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.clocked_tubes import Tube, tube
+from pwatrack.lmi.clocked_tubes import Tube, TubeProgram, tube
 from pwatrack.lmi.exact import Packed, rounded_down
-from pwatrack.lmi.tube_program import TubeProgram
 from pwatrack.rational import floats
 
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals

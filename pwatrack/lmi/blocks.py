@@ -56,6 +56,13 @@ class Blocks:
         stacks = self.stacks(x)
         return [stacks[k][first:last, :N, :N] for k, first, last, N in self._places]
 
+    def unscaled(self, changes: Sequence[Array], scalings: "Sequence[Scaling]") -> Array:
+        """Return the vector of changes of Z whose scaled forms these are."""
+        z = np.empty(self.size)
+        for Z, change, scaling in zip(self.stacks(z), changes, scalings, strict=True):
+            Z[:] = scaling.back(change)
+        return z
+
     def of(self, parts: Sequence[Array], beside: float = 0.0) -> Array:
         """Return the vector with these matrices; those that are filled up have this beside them on the diagonal."""
         x = np.zeros(self.size)

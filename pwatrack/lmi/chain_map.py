@@ -11,7 +11,6 @@ one product for all inequalities that have both, and nothing for matrices that n
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,18 +19,6 @@ from pwatrack.lmi.blocks import Blocks
 from pwatrack.lmi.linear_map import LinearMap, Triangle
 
 Term = tuple[Array, Array]  # L and R
-
-
-class Part(NamedTuple):
-    """What some inequalities have of one matrix: which they are, and L and R of each, (c, n, n)."""
-
-    at: IntArray
-    L: Array
-    R: Array
-
-    def some(self, places: IntArray) -> "Part":
-        """Return that of some of them."""
-        return Part(self.at[places], self.L[places], self.R[places])
 
 
 @dataclass(frozen=True)
@@ -65,11 +52,11 @@ class ChainMap(LinearMap):
             self.cost, self.values = np.append(np.tile(self.P.row(weight), count), 0.0), np.ones(1)
             self.rows[0, -1] = 1.0
         self.places = [slice(k * self.P.size, (k + 1) * self.P.size) for k in range(count)]
-        having = [[j for j, bound in enumerate(bounds) if k in bound.terms] for k in range(count)]
-        self.of = [
-            Part(np.array(at), *(np.array([bounds[j].terms[k][side] for j in at]) for side in (0, 1)))
-            for k, at in enumerate(having)
-        ]
+        self.of = list[tuple[IntArray, Array, Array]]()  # which inequalities have a matrix, L and R of each, (c, n, n)
+        for k in range(count):
+            at = [j for j, bound in enumerate(bounds) if k in bound.terms]
+            L, R = (np.array([bounds[j].terms[k][side] for j in at]) for side in (0, 1))
+            self.of.append((np.array(at), L, R))
 
     @cached_property
     def pairs(self) -> list[tuple[int, int, IntArray, IntArray]]:
@@ -77,7 +64,7 @@ class ChainMap(LinearMap):
         found = []
         for k in range(self.count):
             for other in range(k + 1):
-                _, one, two = np.intersect1d(self.of[k].at, self.of[other].at, return_indices=True)
+                _, one, two = np.intersect1d(self.of[k][0], self.of[other][0], return_indices=True)
                 if len(one):
                     found.append((k, other, one, two))
         return found
@@ -106,7 +93,7 @@ class ChainMap(LinearMap):
         H[-1] = self.adjoint((W @ self.T @ W).ravel())
         low = self.P.rows, self.P.columns
         for k, other, one, two in self.pairs:
-            (at, L, R), (_, L_, R_) = self.of[k].some(one), self.of[other].some(two)
+            (at, L, R), (_, L_, R_) = (X[one] for X in self.of[k]), (X[two] for X in self.of[other])
             LW, RW = L.transpose(0, 2, 1) @ W[at], R @ W[at]
             first = np.concatenate([RW @ L_, RW @ R_.transpose(0, 2, 1)])
             second = np.concatenate([LW @ R_.transpose(0, 2, 1), LW @ L_])  # transposed: (a, d)

@@ -29,7 +29,6 @@ _SHARES = (0.9, 0.5)  # of what parts by themselves reach: what is asked of the 
 _MANY = 16  # vertices, from which on each look takes seconds
 _OF_MANY = (0.5,)  # what is asked then
 
-
 Scaled = tuple[Rational, Sequence[Fraction]]  # a form, and about the roots of its diagonal
 
 
@@ -89,7 +88,7 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
         return None
     if len(system.blocks) < 2:
         alone = program.fastest(program.most, _LOOKS)
-        return None if alone is None else proved_forms(system, alone[1].P, alone[0])
+        return None if alone is None else proved_forms(system, alone.P, alone.rate)
     best = program.at(0.0)
     if best is None or not best.rate > 0:
         return None
@@ -119,8 +118,7 @@ def proves(system: Clocked, P: Sequence[Packed], rate: float) -> bool:
     N = len(P) // system.parts - 1
     if N < 1 or len(P) != system.parts * (N + 1) or rate < 0 or not is_positive_definite(P[0].P):
         return False
-    slope = number(Fraction(N * system.parts) / system.period)
-    turned = [F.transpose() for F in system.F]
+    slope, turned = number(Fraction(N * system.parts) / system.period), [F.transpose() for F in system.F]
     parts = [P[j : j + N + 1] for j in range(0, len(P), N + 1)]
     jumps = [(J, parts[0][0], parts[-1][-1]) for J in system.J]
     for before, after in pairwise(parts):

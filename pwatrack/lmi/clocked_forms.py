@@ -5,7 +5,7 @@ in what a form loses in a period at the largest rate. Of many vertices few decid
 not satisfy are added, until all are satisfied.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -13,12 +13,13 @@ from typing import TypeVar
 
 import clarabel
 import numpy as np
+from scipy import sparse
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-from pwatrack.arrays import Array, balancing
+from pwatrack.arrays import Array, balancing, symmetric_part
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.chain_map import Bound, ChainMap, Term
-from pwatrack.lmi.cone_program import minimise, sparsely, symmetric_of, upper
+from pwatrack.lmi.cone_program import minimise, symmetric_of, upper
 from pwatrack.lmi.primal_dual import least
 
 _FIRST = 8  # vertices that are asked for at first, at each end of a segment; of fewer all
@@ -161,8 +162,17 @@ class ClockedForms:
                 return found
         return None
 
-    def fastest(self, most: float, looks: int) -> tuple[float, Forms] | None:
-        """Return forms that prove nearly the largest rate, below one that none can, and that rate."""
+    def solved(
+        self, fixed: Sequence[Bound], bound: Callable[[Segment, int], Bound], gap: float, weight: Array | None = None
+    ) -> Array | None:
+        """Return P, (knots, n, n), with some bounds and those of the vertices that are asked for; see `ChainMap`."""
+        bounds = [*fixed, *(bound(segment, i) for segment, some in self.asked.items() for i in some)]
+        chain = ChainMap(bounds, self.count, weight)
+        v = least(chain, gap=gap)
+        return None if v is None else chain.matrices(v)
+
+    def fastest(self, most: float, looks: int) -> Forms | None:
+        """Return forms that prove nearly the largest rate, below one that none can."""
         program, first = self, self.at(0.0)
         if first is None or not first.rate > 0:
             return None
@@ -179,17 +189,18 @@ class ClockedForms:
             return found.rate, found
 
         program = replace(self, near=first.P[0])
-        return bisected((first.rate, first), most, at, near=_NEAR, most=looks)[:2]
+        return bisected((first.rate, first), most, at, near=_NEAR, most=looks)[1]
 
     def most_of_parts(self, blocks: Sequence[int], looks: int) -> float | None:
         """Return the largest rate that parts of z have as if each were by itself; None where one has none."""
-        edges, most = [0, *accumulate(blocks)], self.most
-        for edge in pairwise(edges):
+        most = self.most
+        for edge in pairwise([0, *accumulate(blocks)]):
             part = self.part(slice(*edge))
-            found = part.fastest(min(most, part.most), looks) if edge[1] - edge[0] > 1 else (most, None)
-            if found is None:
-                return None
-            most = min(most, found[0])
+            if edge[1] - edge[0] > 1:
+                found = part.fastest(min(most, part.most), looks)
+                if found is None:
+                    return None
+                most = min(most, found.rate)
         return most
 
     @property
@@ -220,16 +231,14 @@ class ClockedForms:
 
     def _solved(self, F: Array, J: Array, R: Array, weight: Array) -> tuple[Array, float] | None:
         """Return P, (knots, n, n), with the largest margin for the vertices that are asked for; None without one."""
-        program = MarginProgram(F.shape[1], self.count)
-        less = program.less
-        for k in range(program.count):
-            program.add({k: less}, _OF_P * weight)
-        for before, after, X, share in self.jumps(J, R):
-            program.add({before: less, after: (X.T / 2, X)}, share * weight)
-        for segment, vertices in self.asked.items():
-            for i in vertices:
-                program.add(self.rises(segment, F[i]), self.share * weight)
-        return program.solved()
+        eye = np.eye(F.shape[1])
+        less = -eye / 2, eye
+        bounds = [Bound({k: less}, _OF_P * weight) for k in range(self.count)]
+        jumps = self.jumps(J, R)
+        bounds += [Bound({before: less, after: (X.T / 2, X)}, share * weight) for before, after, X, share in jumps]
+        asked = self.asked.items()
+        bounds += [Bound(self.rises(segment, F[i]), self.share * weight) for segment, some in asked for i in some]
+        return best_margin(bounds, self.count)
 
 
 def _least(X: Array) -> Array:
@@ -237,59 +246,44 @@ def _least(X: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh((X + X.transpose(0, 2, 1)) / 2)[:, 0])
 
 
-class MarginProgram:
-    """max t with Σ_k (L_jk P_k R_jk + R_jkᵀ P_k L_jkᵀ) + t T_j ⪯ 0 for all j, P_0 of mean eigenvalue 1.
+def best_margin(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None:
+    """Return P, (count, n, n), and the largest t > 0 that all bounds allow, P_0 of mean eigenvalue 1; or None.
 
     Example: −P_0 + t I ⪯ 0.
 
-        >>> program = MarginProgram(2, 1)
-        >>> program.add({0: program.less}, np.eye(2))
-        >>> _, t = program.solved()
+        >>> _, t = best_margin([Bound({0: (-np.eye(2) / 2, np.eye(2))}, np.eye(2))], 1)
         >>> 0.98 < t < 1.01
         True
     """
+    found = _by_cones(bounds, count) if len(bounds[0].T) <= SMALL else _by_form(bounds, count)
+    return None if found is None or not found[1] > 0 or not np.isfinite(found[0]).all() else found
 
-    def __init__(self, n: int, count: int) -> None:
-        self.n, self.count, self.size = n, count, n * (n + 1) // 2
-        self.basis = symmetric_of(np.eye(self.size), n)  # of size 1 each
-        self.less, self.more = (-np.eye(n) / 2, np.eye(n)), (np.eye(n) / 2, np.eye(n))  # −P and P
-        self.bounds: list[Bound] = []
 
-    def image(self, L: Array, R: Array) -> Array:
-        """Return the matrix of P ↦ L P R + Rᵀ P Lᵀ."""
-        half = L @ self.basis @ R
-        return upper(half + half.transpose(0, 2, 1)).T
+def _by_form(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None:
+    """Ask our own method, with a T whose largest entry is 1: else multipliers are as large as a T is small."""
+    unit = max(float(np.abs(bound.T).max()) for bound in bounds)
+    chain = ChainMap([replace(bound, T=bound.T / unit) for bound in bounds], count)
+    v = least(chain, gap=_GAP)
+    return None if v is None else (chain.matrices(v), float(v[-1]) / unit)
 
-    def add(self, terms: Mapping[int, Term], T: Array) -> None:
-        """Ask for Σ (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T ⪯ 0, with L and R of each k."""
-        self.bounds.append(Bound(terms, T))
 
-    def solved(self) -> tuple[Array, float] | None:
-        """Return P, (count, n, n), and t > 0, or None."""
-        found = self._by_cones() if self.n <= SMALL else self._by_form()
-        return None if found is None or not found[1] > 0 or not np.isfinite(found[0]).all() else found
-
-    def _by_form(self) -> tuple[Array, float] | None:
-        """Ask our own method, with a T whose largest entry is 1: else multipliers are as large as a T is small."""
-        unit = max(float(np.abs(bound.T).max()) for bound in self.bounds)
-        chain = ChainMap([replace(bound, T=bound.T / unit) for bound in self.bounds], self.count)
-        v = least(chain, gap=_GAP)
-        return None if v is None else (chain.matrices(v), float(v[-1]) / unit)
-
-    def _by_cones(self) -> tuple[Array, float] | None:
-        """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
-        size, width = self.size, self.count * self.size
-        unit = upper(np.eye(self.n))
-        images = [
-            {k: self.image(*term) for k, term in bound.terms.items()} | {self.count: upper(bound.T)[:, None]}
-            for bound in self.bounds
-        ]
-        images.append({0: np.outer(unit, unit) / self.n})  # the mean eigenvalue of P_0, at most 1
-        G = sparsely(images, size, width + 1)
-        cones = [clarabel.PSDTriangleConeT(self.n)] * len(images)
-        cost, sides = np.append(np.zeros(width), -1.0), np.append(np.zeros(len(self.bounds) * size), unit)
-        try:
-            x = np.array(minimise(cost, G, sides, cones, _GAP).x)
-        except ArithmeticError:
-            return None
-        return np.tensordot(x[:-1].reshape(self.count, size), self.basis, 1), float(x[-1])
+def _by_cones(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None:
+    """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
+    n = len(bounds[0].T)
+    unit = upper(np.eye(n))
+    size = len(unit)
+    basis = symmetric_of(np.eye(size), n)  # of size 1 each
+    images = list[dict[int, Array]]()
+    for bound in bounds:
+        halves = {k: L @ basis @ R for k, (L, R) in bound.terms.items()}
+        images.append({k: upper(symmetric_part(X)).T for k, X in halves.items()} | {count: upper(bound.T)[:, None]})
+    images.append({0: np.outer(unit, unit) / n})  # the mean eigenvalue of P_0, at most 1
+    blocks = [[sparse.coo_matrix(parts[k]) if k in parts else None for k in range(count + 1)] for parts in images]
+    G = sparse.bmat(blocks, format="csc")
+    cones = [clarabel.PSDTriangleConeT(n)] * len(images)
+    cost, sides = np.append(np.zeros(count * size), -1.0), np.append(np.zeros(len(bounds) * size), unit)
+    try:
+        x = np.array(minimise(cost, G, sides, cones, _GAP).x)
+    except ArithmeticError:
+        return None
+    return np.tensordot(x[:-1].reshape(count, size), basis, 1), float(x[-1])

@@ -20,7 +20,7 @@ H is given here: then all is linear in P. It is looked for as if samples were sh
 P, in which H may be sought too, forms that are linear in time lose by what is held, however short a sample is.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
@@ -29,13 +29,12 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.chain_map import Bound, ChainMap
+from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves
-from pwatrack.lmi.clocked_forms import ClockedForms, Segment
+from pwatrack.lmi.clocked_forms import Segment
 from pwatrack.lmi.ellipsoid import reach_of, short_weights
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.norm import square_above
-from pwatrack.lmi.primal_dual import least
 from pwatrack.lmi.saturated import short
 from pwatrack.rational import Rational, diagonal, floats, is_positive_definite
 
@@ -135,7 +134,10 @@ class SaturatedTicks:
         return None
 
     def _sought(self, system: Clocked, G: Array, rows: Array, decay: float) -> list[Array] | None:
-        """Return P at the knots, in floating point: with Gᵀ P_N G ⪯ I and rowsᵀ rows ⪯ P_N / t for the largest t."""
+        """Return P at the knots, in floating point: with Gᵀ P_N G ⪯ I and rowsᵀ rows ⪯ P_N / t for the largest t.
+
+        In coordinates in which the loop without limits, starts and rows are of size 1.
+        """
         clock, L = looked_for(system, self.knots), np.linalg.cholesky(self.near).T
         values, V = np.linalg.eigh(L @ G @ G.T @ L.T)
         size = float(np.sqrt(values[-1]))
@@ -144,44 +146,22 @@ class SaturatedTicks:
         F, R, rows = L @ (clock.F + rate * np.eye(len(L))) @ back, L @ clock.R @ back, rows @ back
         J = L @ clock.J @ back * np.exp(rate * clock.period / 4)
         starts, unit = V * np.sqrt(np.maximum(values, 0.0)) / size, float(np.linalg.norm(rows, axis=1).max())
-        asked = _Asked(clock=clock, F=F, R=R, J=J, starts=starts, rows=rows / unit)
-        found = clock.of_few(asked.solved, asked.lowest, _WORST)
-        return None if found is None else [L.T @ P @ L for P in found]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Asked:
-    """The program in coordinates in which the loop without limits, starts and rows are of size 1."""
-
-    clock: ClockedForms
-    F: Array
-    R: Array
-    J: Array
-    starts: Array
-    rows: Array
-
-    def solved(self) -> list[Array] | None:
-        """Return P at the knots for the vertices that are asked for, or None."""
-        chain = ChainMap(list(self._bounds()), self.clock.count)
-        v = least(chain, gap=_GAP)
-        return None if v is None else list(chain.matrices(v))
-
-    def _bounds(self) -> Iterator[Bound]:
-        clock, eye, last = self.clock, np.eye(len(self.R)), self.clock.count - 1
+        rows, eye, last = rows / unit, np.eye(len(R)), clock.count - 1
         less, nothing = (-eye / 2, eye), np.zeros_like(eye)
-        for k in range(clock.count):
-            yield Bound({k: less}, nothing, _LEAST * eye)
-        yield Bound({last: (self.starts.T / 2, self.starts)}, nothing, -eye)
-        for row in self.rows[self.rows.any(axis=1)]:
-            yield Bound({last: less}, np.outer(row, row))
-        for before, after, X, _ in clock.jumps(self.J, self.R):
-            yield Bound({before: less, after: (X.T / 2, X)}, nothing)
-        for segment, vertices in clock.asked.items():
-            yield from (Bound(clock.rises(segment, self.F[i]), nothing) for i in vertices)
+        fixed = [Bound({k: less}, nothing, _LEAST * eye) for k in range(clock.count)]
+        fixed.append(Bound({last: (starts.T / 2, starts)}, nothing, -eye))
+        fixed += [Bound({last: less}, np.outer(row, row)) for row in rows[rows.any(axis=1)]]
+        jumps = clock.jumps(J, R)
+        fixed += [Bound({before: less, after: (X.T / 2, X)}, nothing) for before, after, X, _ in jumps]
 
-    def lowest(self, P: list[Array], segment: Segment) -> Array:
-        """Return the least eigenvalue of what is left between ticks, for each vertex."""
-        return np.asarray(np.linalg.eigvalsh(self.clock.left(P, segment, self.F))[:, 0])
+        def solved() -> Array | None:
+            return clock.solved(fixed, lambda segment, i: Bound(clock.rises(segment, F[i]), nothing), _GAP)
+
+        def lowest(P: Array, segment: Segment) -> Array:
+            return np.asarray(np.linalg.eigvalsh(clock.left(P, segment, F))[:, 0])
+
+        found = clock.of_few(solved, lowest, _WORST)
+        return None if found is None else [L.T @ P @ L for P in found]
 
 
 def _starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:

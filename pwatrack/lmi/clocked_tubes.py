@@ -21,20 +21,112 @@ and V^½' ≤ −(a / 2) V^½ + |d|: V^½ ends below the integral of |d| with we
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, different
-from pwatrack.lmi.clocked import Clocked, shrunk
+from pwatrack.lmi.chain_map import Bound
+from pwatrack.lmi.clocked import Clocked, looked_for, shrunk
+from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
-from pwatrack.lmi.norm import root_above, square_above
-from pwatrack.lmi.tube_program import TubeProgram
+from pwatrack.lmi.norm import sizes_in, square_above
 from pwatrack.rational import Rational, floats, is_positive_definite, number, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
+_GAP = 1e-3  # share of the cost that may be missed
+_WORST = 8  # vertices that are added at each end of a segment where some are not satisfied
+_FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeProgram:
+    """Looks for tubes of one system in floating point; what one search finds out about vertices serves the next.
+
+    In coordinates in which a form that is proved to fall is I, and in which what drives is of size 1. Of many vertices
+    few decide: those that the tubes found so far do not satisfy are added, until all are satisfied.
+    """
+
+    system: Clocked  # what z obeys
+    near: Array  # a form P_0 that is proved to fall, (n, n)
+    knots: int  # segments of each part
+
+    def smallest(
+        self, g: Array, kicks: Array, rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool
+    ) -> list[Array] | None:
+        """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ; None where none is found.
+
+        Args:
+            g: What drives z' at each vertex, (v, n).
+            kicks: Γ_j, (w, n).
+            rows, weights: c, (s, n), and of each, (s,).
+            a, b: As above.
+            slack: Share of the size of what drives by which inequalities are to hold.
+            summed: Whether d is.
+        """
+        L = np.linalg.cholesky(self.near).T
+        back, eye = np.linalg.inv(L), np.eye(len(L))
+        F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
+        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), kicks @ L.T / np.sqrt(b or np.inf)
+        size = max(float((driving**2).max()), float((kicking**2).max()))
+        if not 0 < size < np.inf:
+            return None
+        W = (rows @ back).T * weights @ (rows @ back) + _FADING * eye
+        rest = slack * eye
+        squares = rest + driving[:, :, None] * driving[:, None, :] / size
+        pushed = np.tile(a * rest, (len(F), 1, 1)) if summed else squares
+        holding = np.unique(squares, axis=0) if summed else squares[:0]
+        between, count = self.system.between, self.clock.count
+        R = eye if between is None else L @ between.floats @ back
+        fixed = [Bound({k: (-eye / 2, eye)}, X) for X in holding for k in range(count)]
+        fixed += [_kept(j - 1, j, R, eye, rest) for j in range(self.knots + 1, count, self.knots + 1)]
+        for J_j, kick in zip(J, kicking, strict=True):
+            left = J_j / np.sqrt(1 - b)
+            fixed.append(_kept(count - 1, 0, left, self._seen(left), rest + np.outer(kick, kick) / size))
+        F, step = F + a / 2 * eye, self.clock.step
+
+        def solved() -> Array | None:
+            return self.clock.solved(fixed, lambda s, i: _left(s, step * F[i], step * pushed[i]), _GAP, W / count)
+
+        def lowest(Q: Array, segment: Segment) -> Array:
+            k, after, e = segment
+            product = F @ Q[e]
+            left = Q[after] - Q[k] - step * (product + product.transpose(0, 2, 1) + pushed)
+            return np.asarray(np.linalg.eigvalsh(left)[:, 0])
+
+        found = self.clock.of_few(solved, lowest, _WORST)
+        return None if found is None else [size * back @ Q @ back.T for Q in found]
+
+    @cached_property
+    def clock(self) -> ClockedForms:
+        """Knots and segments, and which vertices matter, as far as that is known."""
+        return looked_for(self.system, self.knots)
+
+    @property
+    def most(self) -> float:
+        """No z falls faster for all vertices, in 1/s: what one does by itself."""
+        return self.clock.most
+
+    def _seen(self, J: Array) -> Array:
+        """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
+        U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
+        return np.asarray(U.T / np.sqrt(np.clip(s, self.most * self.clock.period, 1.0))[:, None])
+
+
+def _left(segment: Segment, F: Array, pushed: Array) -> Bound:
+    """Return −(Q_{k+1} − Q_k) + F Q_e + Q_e Fᵀ + pushed ⪯ 0."""
+    (k, after, e), eye = segment, np.eye(len(F))
+    terms = {k: eye / 2, after: -eye / 2}
+    terms[e] = terms[e] + F
+    return Bound({j: (L, eye) for j, L in terms.items()}, pushed)
+
+
+def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
+    """Return T (J Q_before Jᵀ + above − Q_after) Tᵀ ⪯ 0."""
+    return Bound({before: (T @ J / 2, (T @ J).T), after: (-T / 2, T.T)}, T @ above @ T.T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +189,8 @@ def tube(
         for bits in _BITS:
             Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found)
             if contains(system, driven, Q, a, b, summed=summed):
-                return Tube(Q=Q, a=a, b=b, sizes=tuple(sizes_in(Q, rows)), summed=summed)
+                sizes = zip(*(sizes_in(Q_k.P, rows) for Q_k in Q), strict=True)
+                return Tube(Q=Q, a=a, b=b, sizes=tuple(map(max, sizes)), summed=summed)
     return None
 
 
@@ -107,14 +200,13 @@ def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: f
     if N < 1 or len(Q) != system.parts * (N + 1) or not all(is_positive_definite(Q_k.P) for Q_k in Q):
         return False
     parts = [Q[j : j + N + 1] for j in range(0, len(Q), N + 1)]
-    if not all(is_positive_definite(left) for left in _jumps(system, driven, parts, Fraction(repr(b)))):
+    if not all(map(is_positive_definite, _jumps(system, driven, parts, Fraction(repr(b))))):
         return False
-    slope, columns = number(Fraction(N * system.parts) / system.period), _columns(system, driven)
-    if summed and not all(
-        is_positive_definite(Q_k.P - square_above(column, [Fraction(1)], Q_k.scale))
-        for column in different(columns)
-        for Q_k in Q
-    ):
+    slope = number(Fraction(N * system.parts) / system.period)
+    columns = [F @ driven.held + driven.between for F in system.F]
+    holding = different(columns) if summed else []
+    left = (Q_k.P - square_above(column, [Fraction(1)], Q_k.scale) for column in holding for Q_k in Q)
+    if not all(map(is_positive_definite, left)):
         return False
     for part in parts:
         for one, other in pairwise(part):
@@ -126,19 +218,6 @@ def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: f
                     if not is_positive_definite(left_side(F, Q_e) - pushed):
                         return False
     return True
-
-
-def sizes_in(Q: Sequence[Packed], rows: BallMatrix) -> Iterator[float]:
-    """Yield max_k (c Q_k cᵀ)^½ for each row, rounded up."""
-    squares = [rows @ BallMatrix(Q_k.P) @ rows.transpose() for Q_k in Q]
-    most = [X.centre if X.radius is None else X.centre + X.radius for X in squares]
-    for k in range(rows.shape[0]):
-        yield max(root_above(X[k, k]) for X in most)
-
-
-def _columns(system: Clocked, driven: Drive) -> list[BallMatrix]:
-    """Return g_i."""
-    return [F @ driven.held + driven.between for F in system.F]
 
 
 def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Packed]], b: Fraction) -> Iterator[Rational]:

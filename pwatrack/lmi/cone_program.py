@@ -1,13 +1,13 @@
 """Programs over cones, asked directly: min cᵀx s.t. G x + s = h, s ∈ cones."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import clarabel
 import numpy as np
 from scipy import sparse
 
-from pwatrack.arrays import Array, IntArray
+from pwatrack.arrays import Array
 from pwatrack.lmi.inequality import Solver
 
 Block = tuple[Array, Array]  # G (N (N + 1) / 2, n) and h (N (N + 1) / 2,), as `upper` has symmetric matrices
@@ -48,20 +48,6 @@ def symmetric_of(x: Array, N: int) -> Array:
     X = np.zeros((*x.shape[:-1], N, N))
     X[..., row, column] = X[..., column, row] = x / np.where(row == column, 1.0, np.sqrt(2.0))
     return X
-
-
-def sparsely(images: Iterable[Mapping[int, Array]], size: int, width: int) -> sparse.csc_matrix:
-    """Return blocks below each other, each of `size` rows: what stands at k begins at column k · size."""
-    rows, columns, values, count = list[IntArray](), list[IntArray](), list[Array](), 0
-    for at, parts in enumerate(images):
-        for k, X in parts.items():
-            row, column = np.nonzero(X)
-            rows.append(np.asarray(row + at * size, dtype=np.int64))
-            columns.append(np.asarray(column + k * size, dtype=np.int64))
-            values.append(X[row, column])
-        count = at + 1
-    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-    return sparse.coo_matrix(entries, shape=(count * size, width)).tocsc()
 
 
 def _by_cvxopt(cost: Array, blocks: Sequence[Block]) -> Array | None:

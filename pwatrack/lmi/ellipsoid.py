@@ -34,7 +34,7 @@ from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import Packed, left_side
 from pwatrack.lmi.inequality import lyapunov, weighted
-from pwatrack.lmi.norm import root_above, square_above
+from pwatrack.lmi.norm import sizes_in, square_above
 from pwatrack.lmi.program import SemidefiniteProgram, least_sizes, of_P
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import floats, is_positive_definite, scalar
@@ -243,9 +243,7 @@ def enclosure(
         inside = Q.P if around is None else Q.P - square_above(*around, Q.scale)
         rest = scalar(a) * Q.P if driven is None else scalar(a) * Q.P + square_above(*driven, Q.scale)
         if is_positive_definite(inside) and all(is_positive_definite(left_side(X, Q) - rest) for X in M):
-            squares = forms @ BallMatrix(Q.P) @ forms.transpose()
-            most = squares.centre if squares.radius is None else squares.centre + squares.radius
-            return Q.parts | {"sizes": tuple(root_above(most[k, k]) for k in range(forms.shape[0]))}
+            return Q.parts | {"sizes": sizes_in(Q.P, forms)}
     return None
 
 

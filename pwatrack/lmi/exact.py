@@ -53,10 +53,7 @@ def prove(M: Array, P: Array) -> Certificate | None:
     scaled = _scaled(M, P)
     if scaled is None or not _least(scaled[1], np.abs(scaled[1])) > 0:
         return None
-    scaled_M, scaled_P = scaled
-    left = symmetric_part(scaled_M @ scaled_P)
-    if not np.isfinite(left).all():
-        return None
+    scaled_M, scaled_P, left = scaled
     rate = _rate(left, scaled_P)
     size = np.abs(scaled_M) @ np.abs(scaled_P) + abs(rate) * np.abs(scaled_P)
     for shrunk in (rate * (1 - less) for less in _LESS):
@@ -79,20 +76,24 @@ def likely_rate(M: Array, P: Array) -> float:
     scaled = _scaled(M, P)
     if scaled is None or not np.linalg.eigvalsh(scaled[1])[0] > 0:
         return 0.0
-    left = symmetric_part(scaled[0] @ scaled[1])
     try:
-        return max(0.0, _rate(left, scaled[1])) if np.isfinite(left).all() else 0.0
+        return max(0.0, _rate(scaled[2], scaled[1]))
     except np.linalg.LinAlgError:  # P is not definite to working precision
         return 0.0
 
 
-def _scaled(M: Array, P: Array) -> tuple[Array, Array] | None:
-    """Return each different M, and P, with states scaled by powers of two so that the diagonal of P is about 1."""
+def _scaled(M: Array, P: Array) -> tuple[Array, Array, Array] | None:
+    """Return each different M, P and M P + P Mᵀ, with states scaled by powers of two to make the diagonal of P about 1.
+
+    None where they are not finite, or the diagonal is not positive.
+    """
     diagonal = np.diag(P)
     if not (np.isfinite(P).all() and (diagonal > 0).all()):
         return None
     d = 2.0 ** np.round(np.log2(diagonal) / 2)
-    return distinct(M)[0] / d[:, None] * d, symmetric_part(P) / 2 / d[:, None] / d
+    scaled_M, scaled_P = distinct(M)[0] / d[:, None] * d, symmetric_part(P) / 2 / d[:, None] / d
+    left = symmetric_part(scaled_M @ scaled_P)
+    return (scaled_M, scaled_P, left) if np.isfinite(left).all() else None
 
 
 def _rate(left: Array, P: Array) -> float:
@@ -181,10 +182,10 @@ def prove_exactly(role: Role, M: Sequence[BallMatrix], P: Array | Rational, rate
 
 def proved_rate(left: Sequence[Rational], P: Rational, degree: int, rate: float) -> float | None:
     """Return a short decimal, the rate or a little less, with S − degree · rate P ≻ 0 for every S in `left`, if any."""
-    rates = (rounded_down(rate * (1 - given), 6) for given in GIVEN if left)
-    return next(
-        (r for r in rates if r > 0 and all(is_positive_definite(S - scalar(degree * r) * P) for S in left)), None
-    )
+    for shown in (rounded_down(rate * (1 - given), 6) for given in GIVEN if left):
+        if shown > 0 and all(is_positive_definite(S - scalar(degree * shown) * P) for S in left):
+            return shown
+    return None
 
 
 def whole(X: Array | Rational, exponents: Sequence[int]) -> Whole:

@@ -10,7 +10,6 @@ tr W is to be small. It stands in that inequality alone, so it is eliminated by 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,30 +24,17 @@ _RIDGES = (1e-15, 1e-13, 1e-11, 1e-9)  # of the diagonal of H, the first that wi
 # P = 0, Y = Ω Bᵀ, Ω skew, and near the end to working precision
 
 
-@dataclass(frozen=True, kw_only=True)
 class Side:
     """An `Inequality` with None for what is 0 (L with R, M with N, T) or the identity (R or N alone).
 
     What all cells have in common is there once.
     """
 
-    L: Array | None
-    R: Array | None
-    M: Array | None
-    N: Array | None
-    T: Array | None
-
-    @classmethod
-    def of(cls, c: Inequality) -> "Side":
-        """Read an inequality."""
-        has_P, has_Y = bool(c.L.any()), bool(c.M.any())
-        return cls(
-            L=_once(c.L) if has_P else None,
-            R=_unless_identity(c.R) if has_P else None,
-            M=_once(c.M) if has_Y else None,
-            N=_unless_identity(c.N) if has_Y else None,
-            T=None if c.T is None else _once(c.T),
-        )
+    def __init__(self, c: Inequality) -> None:
+        nothing: tuple[Array | None, Array | None] = None, None
+        self.L, self.R = (_once(c.L), _unless_identity(c.R)) if c.L.any() else nothing
+        self.M, self.N = (_once(c.M), _unless_identity(c.N)) if c.M.any() else nothing
+        self.T = None if c.T is None else _once(c.T)
 
     def add(self, out: Array, P: Array, Y: Array, t: float) -> None:
         """Add the left-hand sides without their constants to (l, N, N)."""
@@ -67,35 +53,19 @@ class Side:
             return np.asarray(Z.reshape(-1, Z.shape[2]).T @ self.L.reshape(-1, self.L.shape[2]))
         return np.asarray(_front(self.R, _both(Z, self.L, self.R)).sum(axis=0))
 
-    def of_Y(self, Z: Array) -> Array:
-        """Return G (m, n) with Σ G_jk Y_jk = ½ Σ tr Z_i A_i(Y)."""
-        assert self.M is not None
-        return np.asarray(_front(self.N, _both(Z, self.M, self.N)).sum(axis=0).T)
 
-    def of_t(self, Z: Array) -> float:
-        """Return Σ tr Z_i T_i."""
-        assert self.T is not None
-        return float(np.vdot(Z if len(self.T) == len(Z) else Z.sum(axis=0, keepdims=True), self.T))
-
-
-@dataclass(frozen=True)
 class Corner:
     """W_i of [W, V; Vᵀ, P] ⪰ 0, in blocks: W_11 with its factor, Q = W_11⁻¹ W_12, S = W_22 − W_21 Q.
 
     A right-hand side (F, f) of W and P leaves f − Qᵀ F Q for P, and then ΔW = W_11⁻¹ F W_11⁻¹ − Q ΔP Qᵀ.
     """
 
-    factor: Array
-    Q: Array
-    S: Array
-
-    @classmethod
-    def of(cls, W: Array, order: int) -> "Corner":
+    def __init__(self, W: Array, order: int) -> None:
         """Split a matrix of which the first block has this order."""
         whole = np.linalg.cholesky(W)
-        factor, low, last = whole[:order, :order], whole[order:, :order], whole[order:, order:]
-        Q = solve_triangular(factor, low.T, lower=True, trans="T", check_finite=False)
-        return cls(np.asarray(factor), np.asarray(Q, dtype=np.float64), np.asarray(last @ last.T))
+        self.factor, low, last = whole[:order, :order], whole[order:, :order], whole[order:, order:]
+        self.Q: Array = solve_triangular(self.factor, low.T, lower=True, trans="T", check_finite=False)
+        self.S = last @ last.T
 
     def between(self, F: Array) -> Array:
         """Return W_11⁻¹ F W_11⁻¹."""
@@ -150,7 +120,7 @@ class LinearMap:
     def __init__(self, program: SemidefiniteProgram, *, padded: bool = False) -> None:
         """Read a program; padded, all matrices are filled up to the same order, by constraints 0 ≤ 1."""
         self.n, self.m, self.V = program.n, program.m, program.weight
-        self.sides = [Side.of(c) for c in program.constraints]
+        self.sides = [Side(c) for c in program.constraints]
         self.P = Triangle(self.n)
         self.W = Triangle(0 if self.V is None else len(self.V))
         self.main = self.P.size + self.m * self.n + 1
@@ -173,7 +143,8 @@ class LinearMap:
         self.values = np.array([value for _, value in program.equalities])
 
     @cached_property
-    def _rooms(self) -> tuple[Array, Array]:
+    def rooms(self) -> tuple[Array, Array]:
+        """Where a matrix of the normal equations, and its factor, are written."""
         return np.zeros((self.main, self.main)), np.empty((self.main, self.main))
 
     def parts(self, v: Array) -> tuple[Array, Array, float]:
@@ -214,15 +185,17 @@ class LinearMap:
 
     def step(self, scalings: Sequence[Scaling]) -> "Equations":
         """Return the equations of a step, factorized."""
-        return Equations(self, scalings, self._rooms)
+        return Equations(self, scalings)
 
     def _add_adjoint(self, result: Array, side: Side, Z: Array) -> None:
         if side.L is not None:
             result[: self.P.size] += 2 * self.P.row(side.of_P(Z))
         if side.M is not None:
-            result[self.P.size : self.main - 1] += 2 * side.of_Y(Z).ravel()
+            half = _front(side.N, _both(Z, side.M, side.N)).sum(axis=0).T
+            result[self.P.size : self.main - 1] += 2 * half.ravel()
         if side.T is not None:
-            result[self.main - 1] += side.of_t(Z)
+            each = Z if len(side.T) == len(Z) else Z.sum(axis=0, keepdims=True)
+            result[self.main - 1] += float(np.vdot(each, side.T))
 
     def normal(self, w: Array, H: Array) -> Corner | None:
         """Write the lower triangle of H with v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i; W is eliminated from it."""
@@ -238,14 +211,14 @@ class LinearMap:
         corner = None
         if self.V is not None:
             W = parts[-1][0]
-            corner = Corner.of(W, self.W.n)
+            corner = Corner(W, self.W.n)
             terms["V"].append((corner.S / 2 + corner.Q.T @ W[: self.W.n, self.W.n :])[None])
             terms["U"].append(corner.S[None])
         if terms["U"]:
             self._fill_P(H, terms)
         if terms["g"]:
             g, h, q = (np.concatenate(terms[name]) for name in "ghq")
-            Y = _paired(g, g).transpose(3, 0, 1, 2) + _paired(h, q).transpose(3, 0, 2, 1)
+            Y = np.tensordot(g, g, (0, 0)).transpose(3, 0, 1, 2) + np.tensordot(h, q, (0, 0)).transpose(3, 0, 2, 1)
             H[k:-1, k:-1] = 2 * Y.reshape(self.m * self.n, self.m * self.n)
         if terms["a"]:
             self._fill_Y(H, terms)
@@ -276,12 +249,12 @@ class LinearMap:
 class Equations:
     """What is left of a step for the unknowns, in scaled coordinates: v ↦ E_i A_i(v) E_iᵀ and its normal equations."""
 
-    def __init__(self, linear: LinearMap, scalings: Sequence[Scaling], rooms: tuple[Array, Array]) -> None:
+    def __init__(self, linear: LinearMap, scalings: Sequence[Scaling]) -> None:
         self._linear, self._scalings = linear, scalings
         w = np.empty(linear.blocks.size)
         for W, scaling in zip(linear.blocks.stacks(w), scalings, strict=True):
             np.matmul(scaling.E.transpose(0, 2, 1), scaling.E, out=W)
-        H, room = rooms
+        H, room = linear.rooms
         self._corner = linear.normal(w, H)
         self._normal = Normal(H, room)
 
@@ -292,10 +265,7 @@ class Equations:
 
     def adjoint(self, changes: Sequence[Array]) -> Array:
         """Return A*(Z) for scaled stacks of Z."""
-        z = np.empty(self._linear.blocks.size)
-        for Z, change, scaling in zip(self._linear.blocks.stacks(z), changes, self._scalings, strict=True):
-            Z[:] = scaling.back(change)
-        return self._linear.adjoint(z)
+        return self._linear.adjoint(self._linear.blocks.unscaled(changes, self._scalings))
 
     def solve(self, right: Array) -> Array:
         """Return v whose scaled left-hand sides have this adjoint."""
@@ -354,11 +324,6 @@ def _back(X: Array, E: Array | None) -> Array:
     return X if E is None else np.asarray(X @ E.transpose(0, 2, 1))
 
 
-def _paired(first: Array, second: Array) -> Array:
-    """Return Σ_k first_k[a, b] second_k[c, d] as (a, b, c, d): one matrix product."""
-    return np.asarray(np.tensordot(first, second, axes=([0], [0])))
-
-
 class Normal:
     """H x = r for a positive semidefinite H, of which the lower triangle is read.
 
@@ -382,3 +347,73 @@ class Normal:
     def solve(self, right: Array) -> Array:
         """Return x."""
         return np.asarray(lapack.dpotrs(self._factor.T, right, lower=0)[0])
+
+
+class DenseMap(LinearMap):
+    """A `LinearMap` that keeps the left-hand sides of all unit vectors, and has all constraints in one stack.
+
+    Of small programs the products are so small that their number counts, not their size.
+    """
+
+    def __init__(self, program: SemidefiniteProgram) -> None:
+        super().__init__(program, padded=True)
+        self.images = np.zeros((self.size, self.blocks.size))
+        cells, order = self.blocks.shapes[0]
+        stack, first = self.images.reshape(self.size, cells, order, order), 0
+        for side, c in zip(self.sides, program.constraints, strict=True):
+            last, N = first + len(c.constant), c.constant.shape[1]
+            self._write(stack[:, first:last, :N, :N], side, N)
+            first = last
+        if self.V is not None:
+            k = self.W.n
+            stack[: self.P.size, -1, k : k + self.n, k : k + self.n] = -_units(self.P)
+            stack[self.main :, -1, :k, :k] = -_units(self.W)
+
+    def _write(self, out: Array, side: Side, N: int) -> None:
+        k, eye = self.P.size, np.eye(N)[None]
+        if side.L is not None:
+            whole = _outer(side.L, eye if side.R is None else side.R)
+            out[:k] = symmetric_part(whole[self.P.rows, self.P.columns] + whole[self.P.columns, self.P.rows])
+        if side.M is not None:
+            whole = _outer(side.M, eye if side.N is None else side.N)
+            out[k : self.main - 1] = symmetric_part(whole.reshape(-1, *whole.shape[2:]))
+        if side.T is not None:
+            out[self.main - 1] = side.T
+
+    def apply(self, v: Array) -> Array:
+        return np.asarray(v @ self.images)
+
+    def adjoint(self, z: Array) -> Array:
+        return np.asarray(self.images @ z)
+
+    def step(self, scalings: Sequence[Scaling]) -> Equations:
+        return DenseEquations(self, scalings[0])
+
+
+class DenseEquations(Equations):
+    """`Equations` with the left-hand sides of all unit vectors."""
+
+    def __init__(self, linear: DenseMap, scaling: Scaling) -> None:
+        self._shape = scaling.E.shape
+        self._images = scaling.into(linear.images.reshape(-1, *self._shape)).reshape(linear.images.shape)
+        self._normal = Normal(self._images @ self._images.T)
+
+    def apply(self, v: Array) -> list[Array]:
+        return [(v @ self._images).reshape(self._shape)]
+
+    def adjoint(self, changes: Sequence[Array]) -> Array:
+        return np.asarray(self._images @ changes[0].ravel())
+
+    def solve(self, right: Array) -> Array:
+        return self._normal.solve(right)
+
+
+def _outer(front: Array, back: Array) -> Array:
+    """Return front_i[:, j] back_i[k, :] as (j, k, i, row, column)."""
+    return np.asarray(front.transpose(2, 0, 1)[:, None, :, :, None] * back.transpose(1, 0, 2)[None, :, :, None, :])
+
+
+def _units(of: Triangle) -> Array:
+    units, k = np.zeros((of.size, of.n, of.n)), np.arange(of.size)
+    units[k, of.rows, of.columns] = 1.0
+    return symmetric_part(units)

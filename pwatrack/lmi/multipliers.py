@@ -274,12 +274,9 @@ def _mended(V: Sequence[Rational], A: Sequence[Rational], N: Sequence[Rational],
     """Change as few entries of the V_i as it takes that Σ (Z_i A_i + A_iᵀ Z_i) R = 0, and say whether that worked."""
     ends = [(N_i * A_i, N_i * A_i * R, N_i * R) for N_i, A_i in zip(N, A, strict=True)]
     unknowns = [(i, j, k) for i, V_i in enumerate(V) for j in range(V_i.nrows()) for k in range(j, V_i.nrows())]
-    residual = _total(
-        [
-            N_i.transpose() * V_i * NAR + NA.transpose() * V_i * NR
-            for N_i, V_i, (NA, NAR, NR) in zip(N, V, ends, strict=True)
-        ]
-    ).entries()
+    each = zip(N, V, ends, strict=True)
+    parts = [N_i.transpose() * V_i * NAR + NA.transpose() * V_i * NR for N_i, V_i, (NA, NAR, NR) in each]
+    residual = _total(parts).entries()
     chosen, rows = _pivots(np.vstack([_equations(N_i, *end) for N_i, end in zip(N, ends, strict=True)]))
     lists = [[X.tolist() for X in (N_i, *end)] for N_i, end in zip(N, ends, strict=True)]
     columns = []

@@ -78,10 +78,11 @@ def largest_gain(X: Rational, of: Norm, to: Norm) -> float:
     if not any(size.entries()):
         return 0.0
     c = _estimate(size, of.Q)
-    grow = _until(
-        1e-9, 10, lambda grow: is_positive_definite(of.Q * number(Fraction(c * (1 + grow)) ** 2) - size)
-    )  # of its rounding
-    return c * (1 + grow)
+
+    def above(grow: float) -> bool:
+        return is_positive_definite(of.Q * number(Fraction(c * (1 + grow)) ** 2) - size)
+
+    return c * (1 + _until(1e-9, 10, above))  # of its rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,6 +193,13 @@ def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Frac
     """Return U diag(weights) Uᵀ, no weight negative, or what is above it for every U in the ball: see `unsure`."""
     square = U @ BallMatrix(diagonal(weights)) @ U.transpose()
     return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
+
+
+def sizes_in(Q: Rational, rows: BallMatrix) -> tuple[float, ...]:
+    """Return (c Q cᵀ)^½ for each row c, or the largest in its ball, rounded up."""
+    square = rows @ BallMatrix(Q) @ rows.transpose()
+    most = square.centre if square.radius is None else square.centre + square.radius
+    return tuple(root_above(most[k, k]) for k in range(rows.shape[0]))
 
 
 def root_above(value: Any) -> float:

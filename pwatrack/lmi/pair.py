@@ -123,16 +123,14 @@ class Pair:
         shifted = self.M + rate * np.eye(len(self.M))
         H = np.block([[shifted, np.outer(self.f, self.f)], [-np.outer(self.g, self.g), -shifted.T]])
         values = np.linalg.eigvals(H)
-        return int((values.real < 0).sum()) == len(self.M) and bool(
-            np.abs(values.real).min() > _ON_AXIS * np.abs(values).max()
-        )
+        apart = bool(np.abs(values.real).min() > _ON_AXIS * np.abs(values).max())
+        return apart and int((values.real < 0).sum()) == len(self.M)
 
     def common(self, rate: float, strict: float, tau: float = 1.0) -> Array | None:
         """Return P ≻ 0 with M P + P Mᵀ + 2 rate P + τ f fᵀ + P g gᵀ P / τ + strict I = 0; None where none is seen."""
-        shifted = self.M + rate * np.eye(len(self.M))
-        P = riccati(
-            shifted.T, -np.outer(self.g, self.g) / tau, tau * np.outer(self.f, self.f) + strict * np.eye(len(self.M))
-        )
+        eye = np.eye(len(self.M))
+        constant = tau * np.outer(self.f, self.f) + strict * eye
+        P = riccati((self.M + rate * eye).T, -np.outer(self.g, self.g) / tau, constant)
         return P if P is not None and np.linalg.eigvalsh(P)[0] > 0 else None
 
 

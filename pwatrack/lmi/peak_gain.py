@@ -122,12 +122,11 @@ def _add(heap: list[tuple[float, float, float, Any, Any]], modes: _Modes, r: Seq
 
 
 def _complex(X: BallMatrix) -> Any:
-    rows, columns = X.shape
-    entries = [flint.arb(X.centre[j, k]) for j in range(rows) for k in range(columns)]
+    entries = [flint.arb(v) for v in X.centre.entries()]
     if X.radius is not None:
-        spread = (flint.arb(X.radius[j, k]) for j in range(rows) for k in range(columns))
-        entries = [entry + flint.arb(0, radius.upper()) for entry, radius in zip(entries, spread, strict=True)]
-    return flint.acb_mat(rows, columns, [flint.acb(entry) for entry in entries])
+        spread = [flint.arb(0, flint.arb(v).upper()) for v in X.radius.entries()]
+        entries = [entry + radius for entry, radius in zip(entries, spread, strict=True)]
+    return flint.acb_mat(*X.shape, [flint.acb(entry) for entry in entries])
 
 
 @dataclass(frozen=True, kw_only=True)

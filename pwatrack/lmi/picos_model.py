@@ -1,8 +1,6 @@
 """The inequalities in PICOS notation, solved by Clarabel or CVXOPT.
 
 PICOS does not know Clarabel: it takes it through the `ad_hoc_solver` option that it offers for this.
-
-What comes back is a candidate. It proves nothing before `exact` has looked at it, whatever the solver says of it.
 """
 
 from collections.abc import Sequence
@@ -73,26 +71,21 @@ def _duals(program: SemidefiniteProgram, held: Sequence[Sequence[Any]]) -> tuple
     """Return the multipliers of constraints, 0 where no unknown stands in one; None where the solver gave none."""
     if any(side is not None and side.dual is None for sides in held for side in sides):
         return None
-    return tuple(
-        np.array(
-            [
-                np.zeros(C.shape) if side is None else np.reshape(side.dual, C.shape)
-                for side, C in zip(sides, c.constant, strict=True)
-            ]
-        )
-        for sides, c in zip(held, program.constraints, strict=True)
-    )
+    found = []
+    for sides, c in zip(held, program.constraints, strict=True):
+        shape = c.constant.shape[1:]
+        each = [np.zeros(shape) if side is None else np.reshape(side.dual, shape) for side in sides]
+        found.append(np.array(each))
+    return tuple(found)
 
 
-def _left_sides(inequality: Inequality, P: Any, Y: Any, t: Any) -> list[Any]:
+def _left_sides(c: Inequality, P: Any, Y: Any, t: Any) -> list[Any]:
     """Return the left-hand sides; those in which no unknown is left are constants."""
     sides = []
-    for i, (L, R, M, N, constant) in enumerate(
-        zip(inequality.L, inequality.R, inequality.M, inequality.N, inequality.constant, strict=True)
-    ):
+    for i, (L, R, M, N, constant) in enumerate(zip(c.L, c.R, c.M, c.N, c.constant, strict=True)):
         halves = ([L * P * R] if L.any() else []) + ([M * Y * N] if Y is not None and M.any() else [])
         side = picos.sum([picos.Constant(constant), *(half + half.T for half in halves)])
-        sides.append(side if inequality.T is None else side + t * inequality.T[i])
+        sides.append(side if c.T is None else side + t * c.T[i])
     return sides
 
 

@@ -342,22 +342,14 @@ def _rounded(N: Array, exponents: Sequence[int], monomials: Monomials) -> tuple[
     size = float(np.abs(N * scale[:, None] * scale).max(initial=0.0))
     shift = round(np.log2(size) / 2) - BITS // 2 if size else 0
     powers = tuple(e + shift for e in exponents)
-    finest = {
-        product: min(pairs, key=lambda p: powers[p[0]] + powers[p[1]]) for product, pairs in monomials.products.items()
-    }
-    return tuple(_vanishing(whole(N_i, powers), powers, monomials.products, finest) for N_i in N), powers
+    return tuple(_vanishing(whole(N_i, powers), powers, monomials) for N_i in N), powers
 
 
-def _vanishing(
-    rows: Whole,
-    powers: Sequence[int],
-    products: Mapping[Exponents, Sequence[tuple[int, int]]],
-    finest: Mapping[Exponents, tuple[int, int]],
-) -> Whole:
+def _vanishing(rows: Whole, powers: Sequence[int], monomials: Monomials) -> Whole:
     """Return whole numbers changed as little as it takes that mᵀ N m = 0."""
     N = [list(row) for row in rows]
-    for product, pairs in products.items():
-        j, k = finest[product]
+    for pairs in monomials.products.values():
+        j, k = min(pairs, key=lambda p: powers[p[0]] + powers[p[1]])
         rest = 0
         for a, b in pairs:
             if a == b:

@@ -273,7 +273,7 @@ class _Search:
                 yield (x["t"] - np.einsum("cab,ab->c", P, self._seen(wider.P)))[:, None, None]
 
         shapes = {"Q": (N, N), "N": (len(lifts), len(self.nothing)), "w": (len(squares),), "t": ()}
-        x = minimised("t", shapes | ({} if about is None else {"dH": H.shape}), blocks)
+        x = minimised(shapes | ({} if about is None else {"dH": H.shape}), blocks)
         if x is None or not x["w"].sum() > 0:
             return None
         numbers = np.einsum("kf,fab->kab", x["N"], self.nothing)

@@ -229,9 +229,8 @@ class Precise:
     def of_stable(cls, M: Rational, W: Rational) -> "Precise | None":
         """Return coordinates in which the P of M P + P Mᵀ = −W is I, where doubles do not hold it; else None."""
         with flint.ctx.workprec(_BITS):
-            P = _riccati(M.transpose(), 0 * W, W)
-            root = None if P is None else _root(P)
-            return None if P is None or root is None else cls._of(middle(root), middle(root.inv()))
+            root = _root(_riccati(M.transpose(), 0 * W, W))
+            return None if root is None else cls._of(middle(root), middle(root.inv()))
 
     @classmethod
     def of_regulator(cls, A: Rational, B: Rational, Q: Rational, R: Rational) -> "tuple[Precise, Array] | None":
@@ -251,8 +250,8 @@ class Precise:
         with flint.ctx.workprec(_BITS):
             act = R.inv() * B.transpose()
             X = _riccati(A, B * act, Q)
-            root = None if X is None else _root(X)
-            if X is None or root is None:
+            root = _root(X)
+            if root is None:
                 return None
             at = cls._of(middle(root.inv().transpose()), middle(root.transpose()))
             return None if at is None else (at, _near(-act * middle(X)))
@@ -328,8 +327,8 @@ def _size(X: Any) -> Any:
 
 
 def _root(X: Any) -> Any:
-    """Return the lower triangle L with L Lᵀ = X, to working precision; None where X is not positive definite."""
-    n = X.nrows()
+    """Return the lower triangle L with L Lᵀ = X, to working precision; None where X is None, or not ≻ 0."""
+    n = 0 if X is None else X.nrows()
     L = [[flint.arb(0)] * n for _ in range(n)]
     for k in range(n):
         for j in range(k, n):
@@ -337,4 +336,4 @@ def _root(X: Any) -> Any:
             if j == k and not rest > 0:
                 return None
             L[j][k] = (rest.sqrt() if j == k else rest / L[k][k]).mid()
-    return flint.arb_mat(L)
+    return flint.arb_mat(L) if n else None

@@ -21,8 +21,7 @@ from threadpoolctl import ThreadpoolController
 
 from pwatrack.arrays import Array
 from pwatrack.lmi.blocks import Scaling, step_length
-from pwatrack.lmi.dense_map import DenseMap
-from pwatrack.lmi.linear_map import LinearMap
+from pwatrack.lmi.linear_map import DenseMap, LinearMap
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
 _FAR = 15.0  # times the objective's coefficients: the multipliers at the start
@@ -139,7 +138,7 @@ def _minimise(
     for number in range(_MOST):
         if scalings is None:
             break
-        rest = _Rest.of(linear, at)
+        rest = _Rest(linear, at)
         gap, mu = rest.gap, rest.gap / linear.blocks.order
         wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
@@ -172,33 +171,15 @@ def _minimise(
     return best
 
 
-@dataclass(frozen=True, kw_only=True)
 class _Rest:
     """What an iterate lacks: of the constraints, of the equalities, of the multipliers' equations; and where it is."""
 
-    missing: Array
-    lacking: Array
-    pull: Array  # A*(Z)
-    slope: Array
-    gap: float
-    objective: float
-
-    @classmethod
-    def of(cls, linear: LinearMap, at: _Iterate) -> "_Rest":
-        pull = linear.adjoint(at.z)
-        return cls(
-            missing=-linear.constant - at.image - at.s,
-            lacking=linear.values - linear.rows @ at.v,
-            pull=pull,
-            slope=-linear.cost - pull - at.y @ linear.rows,
-            gap=float(at.s @ at.z),
-            objective=float(linear.cost @ at.v),
-        )
-
-    @property
-    def missed(self) -> float:
-        """The largest of what v lacks."""
-        return float(max(np.abs(self.missing).max(), np.abs(self.lacking).max(initial=0.0)))
+    def __init__(self, linear: LinearMap, at: _Iterate) -> None:
+        self.missing, self.lacking = -linear.constant - at.image - at.s, linear.values - linear.rows @ at.v
+        self.missed = float(max(np.abs(self.missing).max(), np.abs(self.lacking).max(initial=0.0)))
+        self.pull = linear.adjoint(at.z)  # A*(Z)
+        self.slope = -linear.cost - self.pull - at.y @ linear.rows
+        self.gap, self.objective = float(at.s @ at.z), float(linear.cost @ at.v)
 
 
 def _beyond(value: float, rest: _Rest, against: float, share: float) -> bool:
@@ -225,8 +206,8 @@ def _start(linear: LinearMap) -> _Iterate:
         largest = float(np.linalg.norm(constant, axis=(1, 2)).max())
         S[:] = max(1.0, largest) * np.sqrt(N) * np.eye(N)
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
-    zero = (np.zeros(size) for size in (linear.size, linear.blocks.size, len(linear.values)))
-    return _Iterate(v=next(zero), image=next(zero), s=s, z=z, y=next(zero))
+    v, y = np.zeros(linear.size), np.zeros(len(linear.values))
+    return _Iterate(v=v, image=np.zeros(linear.blocks.size), s=s, z=z, y=y)
 
 
 def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
@@ -332,21 +313,14 @@ class _Step:
         What is added to v is far below its rounding, and not below that of the scaled changes, of which the
         multipliers are made: so they have it added by itself.
         """
-        rows, dZ = self.linear.rows, self.unscaled(move.z)
+        rows, dZ = self.linear.rows, self.linear.blocks.unscaled(move.z, self.scalings)
         slope = self.rest.slope - self.linear.adjoint(dZ) - move.y @ rows
         lacking = self.rest.lacking - rows @ move.v
         if max(np.abs(slope).max(), np.abs(lacking).max(initial=0.0)) <= _EXACT * (1 + np.abs(self.linear.cost).max()):
             return move.v, move.y, dZ
         v, y = self._inverse(slope, lacking)
         z = [X + image for X, image in zip(move.z, self.equations.apply(v), strict=True)]
-        return move.v + v, move.y + y, self.unscaled(z)
-
-    def unscaled(self, changes: Sequence[Array]) -> Array:
-        """Return the vector of changes of Z whose scaled forms these are."""
-        z = np.empty(self.linear.blocks.size)
-        for place, X, scaling in zip(self.linear.blocks.stacks(z), changes, self.scalings, strict=True):
-            place[:] = scaling.back(X)
-        return z
+        return move.v + v, move.y + y, self.linear.blocks.unscaled(z, self.scalings)
 
     def _inverse(self, right: Array, lacking: Array) -> tuple[Array, Array]:
         """Return the v whose scaled left-hand sides have this adjoint, but for y times the rows of the equalities."""

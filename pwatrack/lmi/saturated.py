@@ -146,10 +146,9 @@ class SaturatedLoop:
         V, inside = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
         units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
-        seen = _Scaled.of(inside, B * units, D / units[:, None], decay)
-        G = solve_triangular(V, G, lower=True)
-        size = float(np.linalg.norm(G, 2))
-        found = seen.largest(G / size, room / units / float((room / units).max()))
+        speed, G = max(float(np.abs(inside).max()), 1e-300), solve_triangular(V, G, lower=True)
+        size, room = float(np.linalg.norm(G, 2)), room / units / float((room / units).max())
+        found = _largest(inside / speed, B * units / speed, D / units[:, None], G / size, room, decay)
         if found is None:
             return None
         Q, Z, weights = found
@@ -157,44 +156,28 @@ class SaturatedLoop:
         return size**2 * V @ Q @ V.T, short(H), weights
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Scaled:
-    """The same in floating point, in coordinates in which ū_j and the loop are of size 1."""
+def _largest(M: Array, B: Array, D: Array, G: Array, room: Array, decay: float) -> tuple[Array, Array, Array] | None:
+    """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²; Z is H Q.
 
-    M: Array
-    B: Array
-    D: Array
-    decay: float
+    In floating point, in coordinates in which ū_j and the loop are of size 1.
+    """
+    (N, k), m = G.shape, len(D)
+    mask = (room > 0).astype(float)[:, None]
 
-    @classmethod
-    def of(cls, M: Array, B: Array, D: Array, decay: float) -> "_Scaled":
-        speed = max(float(np.abs(M).max()), 1e-300)
-        return cls(M=M / speed, B=B / speed, D=D, decay=decay)
+    def blocks(x: Unknowns) -> Iterator[Array]:
+        Q, Z = x["Q"], x["Z"] * mask
+        for chosen in product((0.0, 1.0), repeat=m):
+            added = B @ (np.array(chosen)[:, None] * (Z - D @ Q))
+            for M_p in M:
+                yield -symmetric_part(M_p @ Q + added) - decay * Q
+        yield from _inside(x, {"w": G})
+        for j in np.flatnonzero(mask).tolist():
+            yield _bounded(Q, Z[:, j : j + 1] / room[j], x["t"])
 
-    def falls(self, x: Unknowns) -> Iterator[Array]:
-        """Yield −sym((M_p + B_S (H_S − D_S)) Q) − decay Q for all p and S; what is at place 0 of Z is H_j Q."""
-        Q, rest = x["Q"], x["Z"] - self.D @ x["Q"]
-        for chosen in product((0.0, 1.0), repeat=len(self.D)):
-            added = self.B @ (np.array(chosen)[:, None] * rest)
-            for M_p in self.M:
-                yield -symmetric_part(M_p @ Q + added) - self.decay * Q
-
-    def largest(self, G: Array, room: Array) -> tuple[Array, Array, Array] | None:
-        """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²."""
-        (N, k), m = G.shape, len(self.D)
-        mask = (room > 0).astype(float)
-
-        def blocks(x: Unknowns) -> Iterator[Array]:
-            x = {**x, "Z": x["Z"] * mask[:, None]}
-            yield from self.falls(x)
-            yield from _inside(x, {"w": G})
-            for j in np.flatnonzero(room > 0).tolist():
-                yield _bounded(x["Q"], x["Z"][:, j : j + 1] / room[j], x["t"])
-
-        found = minimised("t", {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
-        if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
-            return None
-        return found["Q"], found["Z"] * mask[:, None], found["w"]
+    found = minimised({"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
+    if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
+        return None
+    return found["Q"], found["Z"] * mask, found["w"]
 
 
 @dataclass(frozen=True)
@@ -228,14 +211,14 @@ class LimitedGain:
                 corner = -symmetric_part((A_p + self.shift) @ x["Q"] + self.B @ x["Y"])
                 yield np.block([[corner, seen.transpose(0, 2, 1)], [seen, t * np.eye(len(rows) + m)]])
 
-        found = minimised("t", {**self._shapes, "t": ()}, blocks)
+        found = minimised({**self._shapes, "t": ()}, blocks)
         return None if found is None else LimitedFound(found["Q"], found["Y"])
 
     def farthest(self) -> tuple[LimitedFound, float] | None:
         """Return a gain for the largest multiple of the starts, and that multiple."""
         bounded = (self.room > 0) & np.isfinite(self.room)
         shapes = {**self._shapes, "t": ()}
-        found = minimised("t", shapes, lambda x: self._common(x, x["t"])) if bounded.any() else None
+        found = minimised(shapes, lambda x: self._common(x, x["t"])) if bounded.any() else None
         if found is None or not found["t"] > 0:
             return None
         return LimitedFound(found["Q"], found["Y"]), float(1 / np.sqrt(found["t"]))

@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import accumulate
+from math import prod
 from typing import TypeVar
 
 import numpy as np
@@ -80,44 +82,32 @@ def semidefinite(cost: Array, blocks: Sequence[cone_program.Block]) -> Array | N
 
 
 def minimised(
-    what: str, shapes: Mapping[str, tuple[int, ...]], blocks: Callable[[Unknowns], Iterator[Array]]
+    shapes: Mapping[str, tuple[int, ...]], blocks: Callable[[Unknowns], Iterator[Array]]
 ) -> dict[str, Array] | None:
-    """Minimise an unknown subject to blocks ⪰ 0, written down as they stand, affine in all of them; Q is symmetric.
+    """Minimise t subject to blocks ⪰ 0, written down as they stand, affine in all unknowns; Q is symmetric.
 
     Args:
-        what: Its name.
         shapes: Of all unknowns.
         blocks: Makes symmetric matrices (c, N, N) of unknowns (c, …) and of "1", (c,), which stands for constants.
 
     Example: the least t with t ≥ 1 and t ≥ 2.
 
-        >>> found = minimised("t", {"t": ()}, lambda x: iter([(x["t"] - k * x["1"])[:, None, None] for k in (1, 2)]))
+        >>> found = minimised({"t": ()}, lambda x: iter([(x["t"] - k * x["1"])[:, None, None] for k in (1, 2)]))
         >>> found["t"].round(6).tolist()
         2.0
     """
-    unknowns, at, places = {}, 0, {}
-    sizes = {name: _count(name, shape) for name, shape in shapes.items()}
+    sizes = {name: prod(shape) if name != "Q" else shape[0] * (shape[0] + 1) // 2 for name, shape in shapes.items()}
+    places = {name: slice(end - sizes[name], end) for name, end in zip(sizes, accumulate(sizes.values()), strict=True)}
     total = sum(sizes.values())
-    for name, shape in shapes.items():
-        batch = np.zeros((1 + total, sizes[name]))
-        batch[1 + at : 1 + at + sizes[name]] = np.eye(sizes[name])
-        unknowns[name], places[name] = _shaped(name, shape, batch), slice(at, at + sizes[name])
-        at += sizes[name]
-    unknowns["1"] = np.eye(1 + total)[0]
-    told = list[cone_program.Block]()
-    for block in blocks(unknowns):
-        columns = upper(block)
-        told.append((-columns[1:].T, columns[0]))
+    units = np.eye(1 + total)[:, 1:]
+    unknowns = {name: _shaped(name, shape, units[:, places[name]].copy()) for name, shape in shapes.items()}
+    columns = map(upper, blocks(unknowns | {"1": np.eye(1 + total)[0]}))
     cost = np.zeros(total)
-    cost[places[what]] = 1.0
-    x = semidefinite(cost, told)
+    cost[places["t"]] = 1.0
+    x = semidefinite(cost, [(-column[1:].T, column[0]) for column in columns])
     if x is None or not np.isfinite(x).all():
         return None
     return {name: _shaped(name, shape, x[None, places[name]])[0] for name, shape in shapes.items()}
-
-
-def _count(name: str, shape: tuple[int, ...]) -> int:
-    return shape[0] * (shape[0] + 1) // 2 if name == "Q" else int(np.prod(shape))
 
 
 def _shaped(name: str, shape: tuple[int, ...], entries: Array) -> Array:

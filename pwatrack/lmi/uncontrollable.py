@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import flint
 import numpy as np
@@ -161,14 +161,7 @@ def seems_uncontrollable(A: Array, B: Array) -> bool:
     return next(_guesses(A, B), None) is not None
 
 
-class _Guess(NamedTuple):
-    """Cells, their weights, μ, and v (n,) in coordinates in which A and B have size 1."""
-
-    cells: list[int]
-    w: Array
-    mu: float
-    v: Array
-    at: Coordinates
+_Guess = tuple[list[int], Array, float, Array, Coordinates]  # cells, w, μ, and v (n,) where A and B have size 1
 
 
 def _guesses(A: Array, B: Array) -> Iterator[_Guess]:
@@ -194,7 +187,7 @@ def _guesses(A: Array, B: Array) -> Iterator[_Guess]:
                 w = y[n:] / (y[:n] @ G)
             if (w > 0).all() and w.sum() < 1:
                 weights = np.array([1 - w.sum(), *w])
-                yield _Guess([i, *(j for j, _, _ in some)], weights, float(mu) * at.speed, y[:n], at)
+                yield [i, *(j for j, _, _ in some)], weights, float(mu) * at.speed, y[:n], at
 
 
 def _neighbours(M: Array, i: int, *, everywhere: bool) -> Iterator[tuple[int, Array, Array]]:
@@ -247,9 +240,8 @@ def _proved(guess: _Guess, exact_A: Sequence[Rational], exact_B: Rational) -> Be
                 inverse=inverse,
                 radius=fraction_of(r),
             )
-        x = flint.fmpq_mat(
-            len(v), 1, [flint.fmpq(round(fraction_of(e) * 2**_BITS), 2**_BITS) for e in (x - step).entries()]
-        )
+        short = [flint.fmpq(round(fraction_of(e) * 2**_BITS), 2**_BITS) for e in (x - step).entries()]
+        x = flint.fmpq_mat(len(v), 1, short)
     return None
 
 

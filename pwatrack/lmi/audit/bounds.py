@@ -4,23 +4,24 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from .balls import Ball, falls, sides, stacked, unlike
+from .balls import Ball, beyond, falls, sides, squared, stacked, unit, unlike, zero
 from .matrices import AuditFault, Matrix, added, definite, identity
 from .peak_gain import peak_bound
 from .plant import AuditedPlant
 from .reading import distinct, number, packed, place
 from .shape import NUMBER, PACKED, TEXT, WHOLE, of
 
-KEY = "bounds"
 CHANNEL, SIGNALS = [TEXT, WHOLE], [[TEXT, WHOLE, NUMBER]]
 PART = {"loop": TEXT, "channel": CHANNEL, "a": NUMBER, "Q": PACKED, "signals": SIGNALS}
 PEAK = of(WHOLE, "part unit") | {"steps": [[WHOLE, WHOLE]], "P": PACKED, "size": NUMBER}
-SHAPE = [{"channel": CHANNEL, "signals": SIGNALS, "parts": [PART], "peaks?": [PEAK]}]
+BOUNDS = [{"channel": CHANNEL, "signals": SIGNALS, "parts": [PART], "peaks?": [PEAK]}]
+SHAPE = {"bounds": BOUNDS}
 ACTS = ("disturbance", "noise", "start")  # what bounds are of, in this order
 
 
-def decided(found: Any, loop: "Loop", _: Any) -> tuple[list[str], list[str]]:
+def decided(loop: "Loop", whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with all bounds, and what they claim."""
+    found = whole["bounds"]
     faults = [f"bound of {entry['channel']}: {fault}" for entry in found for fault in loop.faults(entry)]
     channels = [(ACTS.index(of), k) for of, k in (entry["channel"] for entry in found)]
     if channels != sorted(set(channels)):
@@ -29,10 +30,7 @@ def decided(found: Any, loop: "Loop", _: Any) -> tuple[list[str], list[str]]:
 
 
 class Loop:
-    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any.
-
-    What the certificate says of the generator is there for who needs it.
-    """
+    """(e, Delta) = (x - x_d, x_hat - x) of a plant with its gains; X is the shift of x_d by estimated loads, if any."""
 
     def __init__(self, plant: AuditedPlant, K: Matrix, L: Matrix, X: Ball | None, generator: Any = None) -> None:
         self.plant, self.K, self.L, self.X, self.generator = plant, K, L, X, generator
@@ -49,20 +47,13 @@ class Loop:
             rate = number(proof["a"])
             if not definite(Q) or rate <= 0:
                 raise AuditFault("Q or a is not positive")
-            square, open_ = g @ g.T
-            if channel[0] == "start":
-                if not definite(added(Q, square, -1)):
-                    faults.append("the start is not in the ellipsoid")
-                square = identity(len(Q), 0)
-            square, open_ = [[v / rate for v in row] for row in square], [[v / rate / 2 for v in row] for row in open_]
-            for X, R in M:
-                if not falls(Ball(added(X, identity(len(Q), rate / 2)), R), Q, powers, square, open_):
-                    faults.append("an ellipsoid can be left")
+            if channel[0] == "start" and not definite(added(Q, squared(g)[0], -1)):
+                faults.append("the start is not in the ellipsoid")
+            push = () if channel[0] == "start" else squared(g, 1 / rate)
+            faults += ["an ellipsoid can be left" for X in M if not falls(X, Q, powers, *push, rate=rate / 2)]
             distinct([signal[:2] for signal in proof["signals"]], "a signal of an ellipsoid")
             for kind, k, size in proof["signals"]:
-                c = self.row(loop, kind, k)
-                value, radius = c @ Ball(Q) @ c.T
-                if value[0][0] + (radius[0][0] if radius else 0) > number(size) ** 2 or number(size) < 0:
+                if beyond(self.row(loop, kind, k), Q, number(size)):
                     faults.append(f"{kind} {k} is not bounded by {size}")
                 found[loop, *channel, kind, k] = number(size)
         for peak in entry.get("peaks", []):
@@ -120,54 +111,42 @@ class Loop:
         observer = [M.T for M in self.plant.problem("observer", self.K, self.L, None)[0]]
         if name != "joint":
             return {"controller": controller, "observer": observer}[name]
-        nothing = Ball([[Fraction(0)] * len(self.K[0]) for _ in self.L])
-        pairs = [stacked(sides(X, self.coupling), sides(nothing, Y)) for X in controller for Y in observer]
+        below = zero(len(self.L), len(self.K[0]))
+        pairs = [stacked(sides(X, self.coupling), sides(below, Y)) for X in controller for Y in observer]
         return [pair for _, pair in unlike(pairs)]
 
     def drive(self, loop: str, channel: Any) -> Ball:
         """Return the column by which a disturbance, a noise or an input enters a loop, or those of a start."""
-        kind, n = channel[0], len(self.plant.B[0])
-        counts = {"disturbance": n, "noise": len(self.plant.C[0]), "input": len(self.plant.B[0][0])}
-        counts["start"] = n + len(self.L)
+        kind, n, N = channel[0], len(self.plant.B[0]), len(self.L)
+        counts = {"disturbance": n, "noise": len(self.plant.C[0]), "input": len(self.plant.B[0][0]), "start": n + N}
         k = place(channel[1], counts[kind])
-        e = Ball([[Fraction(int(j == k))] for j in range(n)])
-        Delta = Ball([[Fraction(-int(j == k))] for j in range(len(self.L))])
-        if kind == "noise":
+        if kind == "disturbance":
+            e, Delta = unit(n, k), -unit(N, k)
+        elif kind == "noise":
             gain = Ball(self.L).column(k)
-            e, Delta = Ball([[Fraction(0)]] * n), -gain
-            if self.X is not None:
-                e = self.X @ Ball(gain.centre[n:])
-        if kind == "start":
-            entries = [k] + [k + 1] * (k + 1 - 2 * n in self.plant.seconds)
-            rows = [[Fraction(int(j == entry)) for entry in entries] for j in range(n + len(self.L))]
-            e, Delta = Ball(rows[:n]), Ball(rows[n:])
-        if kind == "input":
+            e, Delta = zero(n, 1) if self.X is None else self.X @ gain.rows(n, N), -gain
+        elif kind == "start":
+            entries = [k, k + 1] if k + 1 - 2 * n in self.plant.seconds else [k]
+            both = sides(*(unit(n + N, entry) for entry in entries))
+            e, Delta = both.rows(0, n), both.rows(n, n + N)
+        else:
             if loop != "controller":
                 raise AuditFault("an input drives the controller's loop only")
-            e = self.plant.B.column(k)
+            e, Delta = self.plant.B.column(k), zero(N, 1)
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
     def row(self, loop: str, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off (e, Delta), or off one of both."""
         plant, K = self.plant, self.K
         n, N = len(plant.B[0]), len(plant.seen_A[0][0])
-        counts = {
-            "output": len(plant.tracked[0]),
-            "measured": len(plant.C[0]),
-            "state": n,
-            "estimate": N,
-            "coupling": n,
-        }
-        counts["input"] = counts["drive"] = len(K)
-        place(k, counts[kind])
+        of_e = {"output": plant.tracked, "measured": plant.C, "state": Ball(identity(n, 1)), "estimate": zero(N, n)}
+        of_e |= {"coupling": zero(n, n), "input": Ball(K), "drive": Ball(K)}
+        place(k, len(of_e[kind].centre))
         if kind == "coupling":
             if loop != "observer" or plant.loads is None:
                 raise AuditFault("what drives e is a signal of the observer's loop, where loads are estimated")
             return self.coupling.row(k)
-        e = Ball([[Fraction(int(j == k and kind == "state")) for j in range(n)]])
-        e = Ball([K[k]]) if kind in ("input", "drive") else e
-        e = {"output": plant.tracked, "measured": plant.C}[kind].row(k) if kind in ("output", "measured") else e
-        Delta = Ball([[Fraction(int(j == k and kind == "estimate")) for j in range(N)]])
+        e, Delta = of_e[kind].row(k), unit(N, k).T if kind == "estimate" else zero(1, N)
         if kind in ("input", "drive"):
             loads = plant.at_inputs() if kind == "drive" else [-1] * (N - n)
             Delta = Ball([K[k] + [Fraction(-int(j == k)) for j in loads]])

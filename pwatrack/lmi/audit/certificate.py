@@ -4,19 +4,7 @@ import os
 import stat
 from typing import Any
 
-from . import (
-    bounds,
-    clocked,
-    corners,
-    region,
-    sampled_box,
-    sampled_box_bounds,
-    sampled_region,
-    set_points,
-    simplified,
-    starts,
-    tubes,
-)
+from . import bounds, clocked, corners, region, sampled_box, sampled_region, set_points, simplified, starts, tubes
 from .bounds import Loop
 from .form import normal_form
 from .matrices import AuditFault, counted, transposed
@@ -42,21 +30,10 @@ DECIDED = {  # each claim of `reading.PROOFS`
     "no P, by multipliers": no_P_by_Z,
     "no P, by unstable modes": no_P_by_modes,
 }
-# claims of a design: each has its KEY, its SHAPE, and `decided`
-CLAIMS = (
-    bounds,
-    set_points,
-    starts,
-    region,
-    corners,
-    simplified,
-    clocked,
-    tubes,
-    sampled_region,
-    sampled_box,
-    sampled_box_bounds,
-)
-DESIGN = REFUSAL | {"eta_with_loads?": ROWS, "K_of_least_cost?": ROWS} | {claim.KEY: claim.SHAPE for claim in CLAIMS}
+# claims of a design: each has its SHAPE, by key, and `decided`
+CLAIMS = (bounds, set_points, starts, region, corners, simplified, clocked, tubes, sampled_region, sampled_box)
+DESIGN = REFUSAL | {"eta_with_loads?": ROWS, "K_of_least_cost?": ROWS}
+DESIGN |= {key: shape for claim in CLAIMS for key, shape in claim.SHAPE.items()}
 ANEW = "write it anew with 'pwatrack design', or check it with the version that wrote it"
 _MOST_BYTES = 2**28  # of the file
 
@@ -111,7 +88,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         decided |= {of} - ({of} if which == "cost" else set())
     loop = Loop(plant, K or [], L or [], X, generator)
     for one in () if refusal else CLAIMS:
-        wrong, sentences = one.decided(content[one.KEY], loop, content)
+        wrong, sentences = one.decided(loop, content)
         faults += wrong
         said += sentences
     if not refusal:

@@ -6,50 +6,53 @@ from typing import Any
 
 from .balls import Ball, enlarge, falls, sizes
 from .bounds import Loop
-from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
+from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
 from .plant import AuditedPlant
 from .reading import number, packed
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
-KEY = "sampled"
-SHAPE = (
-    None,
-    of(ROWS, "K M rows") | of(NUMBER, "sample_time jitter rate") | of(WHOLE, "substeps delay") | {"P": [PACKED]},
-)
+SAMPLED = of(ROWS, "K M rows") | of(NUMBER, "sample_time jitter rate") | of(WHOLE, "substeps delay") | {"P": [PACKED]}
+SHAPE = {"sampled": (None, SAMPLED)}
 Form = tuple[Matrix, list[Fraction]]  # and about the roots of its diagonal
 
 
-def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the proof of the sampled loop, and what it claims."""
+    content = whole["sampled"]
     if content is None:
         return [], []
     h, rate = number(content["sample_time"]), number(content["rate"])
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
     errors = AuditedErrors(content, loop, predicted(whole))
-    faults = growing(errors, content, content["P"], errors.ticks, rate)
+    faults = growing(errors, content["P"], errors.ticks, rate)
     said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(errors.flows)} flows"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(content['P'])} knots"]
 
 
-def growing(errors: AuditedErrors, content: Any, P: Any, ticks: list[Ball], rate: Fraction) -> list[str]:
-    """Return what is wrong with forms at knots that are to fall at a rate between ticks, and to shrink at these."""
-    forms, parts = [packed(P_k) for P_k in P], content["substeps"] if errors.changes else 1
-    knots, rest = divmod(len(forms), parts)
+def runs_of(errors: AuditedErrors, P: Any, fault: str) -> list[list[Form]]:
+    """Return the forms at the knots of each substep."""
+    forms = [packed(P_k) for P_k in P]
+    knots, rest = divmod(len(forms), errors.parts)
     if rest or knots < 2 or any(len(form) != errors.order for form, _ in forms):
-        raise AuditFault("the forms of the sampled loop are not those of its knots")
-    runs = [forms[j : j + knots] for j in range(0, len(forms), knots)]
-    faults = [] if all(definite(form) for form, _ in forms) else ["a form is not positive definite"]
+        raise AuditFault(fault)
+    return [forms[j : j + knots] for j in range(0, len(forms), knots)]
+
+
+def growing(errors: AuditedErrors, P: Any, ticks: list[Ball], rate: Fraction) -> list[str]:
+    """Return what is wrong with forms at knots that are to fall at a rate between ticks, and to shrink at these."""
+    runs = runs_of(errors, P, "the forms of the sampled loop are not those of its knots")
+    sound = all(definite(form) for run in runs for form, _ in run)
+    faults = [] if sound else ["a form is not positive definite"]
     jumps = (shrinks(tick, runs[0][0], runs[-1][-1]) for tick in ticks)
     faults += [] if all(jumps) else ["a tick makes its form grow"]
     ends = (shrinks(errors.substep, after[0], before[-1]) for before, after in pairwise(runs))
     faults += [] if all(ends) else ["the end of a substep makes its form grow"]
-    turned = [Ball(added(F.T.centre, identity(errors.order, rate)), F.T.radius) for F in errors.flows]
     for run in runs:
         for one, other in pairwise(run):
-            rise = [[v * (knots - 1) * parts / errors.period for v in row] for row in added(other[0], one[0], -1)]
-            if not all(falls(F, *form, rise) for form in (one, other) for F in turned):
+            rise = times(added(other[0], one[0], -1), (len(run) - 1) * errors.parts / errors.period)
+            if not all(falls(F.T, *form, rise, rate=rate) for form in (one, other) for F in errors.flows):
                 faults.append("its form does not fall fast enough between ticks")
     return faults
 
@@ -71,6 +74,6 @@ def shrinks(jump: Ball, after: Form, before: Form) -> bool:
     lower = product(P, J)
     left = added(product(transposed(J), lower), Q, -1)
     if R:
-        half = [[v / 2 for v in row] for row in product(sizes(P), R)]
+        half = times(product(sizes(P), R), Fraction(1, 2))
         enlarge(left, product(transposed(R), added(sizes(lower), half)), powers)
     return definite(left, sign=-1)

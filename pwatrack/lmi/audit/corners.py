@@ -3,16 +3,14 @@
 from typing import Any
 
 from .balls import Ball, sides, stacked, unlike
-from .bounds import SHAPE as BOUNDS
-from .bounds import Loop
+from .bounds import BOUNDS, Loop
 from .matrices import AuditFault, Matrix
 from .plant import AuditedPlant
 from .reading import distinct
 from .shape import NUMBER, RADII, ROWS, TEXT, of
 
-KEY = "uncertain"
 CORNER = of([ROWS], "A b") | {"B": ROWS, "radius": RADII}
-SHAPE = (None, {"parameters": [[TEXT, NUMBER, NUMBER]], "corners": [CORNER], "bounds": BOUNDS})
+SHAPE = {"uncertain": (None, {"parameters": [[TEXT, NUMBER, NUMBER]], "corners": [CORNER], "bounds": BOUNDS})}
 
 
 class UncertainLoop(Loop):
@@ -25,12 +23,7 @@ class UncertainLoop(Loop):
             raise AuditFault("where parameters are uncertain, all cells are listed")
         if plant.loads is not None:
             raise AuditFault("uncertain parameters go without estimated loads")
-        self.corners = [
-            AuditedPlant(
-                content | {name: X[name] for name in ("A", "b", "B")} | {"radius": content["radius"] | X["radius"]}
-            )
-            for X in corners
-        ]
+        self.corners = [AuditedPlant(content | X | {"radius": content["radius"] | X["radius"]}) for X in corners]
         if not corners or any(len(corner.B[0][0]) != len(plant.B[0][0]) for corner in self.corners):
             raise AuditFault("the matrices of the corners do not fit those of the plant")
 
@@ -64,8 +57,9 @@ class UncertainLoop(Loop):
         return [pair for _, pair in unlike(pairs)]
 
 
-def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
+    content = whole["uncertain"]
     if content is None:
         return [], []
     box = UncertainLoop(whole["plant"], content["corners"], loop.K, loop.L)

@@ -1,16 +1,14 @@
 """What a program that is sampled makes of estimates of loads in x_d, u_ff and eta_hat, rebuilt from a plant."""
 
 from fractions import Fraction
-from functools import reduce
 from itertools import accumulate
 from typing import Any
 
-from .balls import Ball, sides, sizes, stacked, unlike
+from .balls import Ball, added_or, outermost, sides, sizes, stacked, unlike, zero
 from .form import coordinates
-from .matrices import AuditFault, identity, inverted, product, rank, transposed
+from .matrices import AuditFault, added, identity, inverted, product, rank, transposed
 from .plant import AuditedPlant
 from .reading import matrix
-from .vertices import outermost
 
 _TURNS = 64  # h times the size of F: a sample in which it turns further is not looked at
 _TAIL = Fraction(1, 2**60)  # share of h below which the rest of a sum may be
@@ -48,7 +46,7 @@ class Estimates:
         if product(B, U) != E:
             raise AuditFault("a load enters where no input does, and x_d is given")
         u = -Ball(U)
-        self.p, self.x_d = 0, Ball([[Fraction(0)] * self.k for _ in range(self.n)])
+        self.p, self.x_d = 0, zero(self.n, self.k)
         self.moves, self.cells, self.hull = [self.plant.B @ u], [(self.S, u)], [self.S]
 
     def shifted(self, X: Ball, generator: Any) -> None:
@@ -60,14 +58,13 @@ class Estimates:
         degrees, Z = generator["relative_degrees"], Ball(matrix(generator["directions"]))
         r, last = sum(degrees), [at - 1 for at in accumulate(degrees)]
         self.right = Z @ (C[0] @ plant.B @ Z).inverse()
-        self.C = reduce(stacked, [T[0].row(j) for j in last])
+        self.C = stacked(*map(T[0].row, last))
         self.push = self.E - X @ self.S
         etas = [T[0].row(j) for j in range(r, self.n)]
         driven = (row @ (A @ X + self.push) for row in etas for _, A in unlike(plant.A))
         acted_on = any(open_ or any(map(any, centre)) for centre, open_ in driven)
-        self.p = len(etas) if acted_on else 0
-        self.own = reduce(stacked, etas) if acted_on else None
-        self.x_d = reduce(sides, [X, *([T[0].inverse().column(j) for j in range(r, self.n)] if acted_on else [])])
+        self.p, self.own = (len(etas), stacked(*etas)) if acted_on else (0, Ball([]))
+        self.x_d = sides(X, *map(T[0].inverse().column, range(r, r + self.p)))
         everywhere = plant.A if plant.elements is None else plant.elements.fields(plant.elements.slopes)[0]
         outer = outermost(plant.A)
         self.cells = [self.law(A) for _, A in unlike(everywhere)]
@@ -76,13 +73,10 @@ class Estimates:
 
     def law(self, A: Ball) -> tuple[Ball, Ball]:
         """Return F_j and u_j of a cell."""
-        rate, F = A @ self.x_d, self.S
-        rate = rate + (sides(self.push, zero(self.n, self.p)) if self.p else self.push)
-        if self.own is not None:
-            F = stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate)
-        return F, -(self.right @ self.C @ rate)
+        rate = A @ self.x_d + sides(self.push, zero(self.n, self.p))
+        return stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate), -(self.right @ self.C @ rate)
 
-    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball | None]]:
+    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball]]:
         """Return what is held beside u_j epsilon, and eta_hat - eta one sample later: rows on epsilon."""
         found, eye = list[Ball](), Ball(identity(self.k + self.p, 1))
         for F_a, u_a in self.cells:
@@ -90,9 +84,9 @@ class Estimates:
             held = u_a @ Q
             found += [stacked(held @ F_j, eye + P @ F_j) for F_j in self.hull]
         m = len(self.plant.B[0][0])
-        each = [Ball(X[:m] + X[m + self.k :], R and R[:m] + R[m + self.k :]) for X, R in found]
+        each = [stacked(X.rows(0, m), X.rows(m + self.k, m + self.k + self.p)) for X in found]
         kept = [short(ball, _DIGITS) for _, ball in unlike(each)]
-        return [(part(ball, 0, m), part(ball, m, m + self.p) if self.p else None) for ball in kept]
+        return [(X.rows(0, m), X.rows(m, m + self.p)) for X in kept]
 
 
 def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
@@ -107,8 +101,8 @@ def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
     n, k = len(F[0]), 0
     term, P, Q = Ball(identity(n, h)), zero(n, n), zero(n, n)
     while 2 * f > k + 2 or 2 * size_of(term) > h * _TAIL:
-        P, Q = P + term, Q + times(term, Fraction(1, k + 2))
-        term, k = short(times(term @ F, h / (k + 2)), _MORE), k + 1
+        P, Q = P + term, Q + term.times(Fraction(1, k + 2))
+        term, k = short((term @ F).times(h / (k + 2)), _MORE), k + 1
     left = 2 * size_of(term)
     open_ = Ball(zero(n, n)[0], [[left] * n for _ in range(n)])
     return short(P + open_, _MORE), short(Q + open_, _MORE)
@@ -116,38 +110,17 @@ def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:
 
 def size_of(ball: Ball) -> Fraction:
     """Return the largest sum of the sizes in a row."""
-    X, R = ball
-    rows = zip(sizes(X), R or zero(len(X), len(X))[0], strict=True)
-    return max(sum(one, Fraction(0)) + sum(other, Fraction(0)) for one, other in rows)
+    return max(sum(row, Fraction(0)) for row in ball.most)
 
 
 def short(ball: Ball, digits: int) -> Ball:
     """Return a ball around one, with entries of so many binary digits."""
-    X, R = ball
-    centre = [[cut(v, digits) for v in row] for row in X]
-    off = [[abs(v - w) for v, w in zip(*rows, strict=True)] for rows in zip(X, centre, strict=True)]
-    if R:
-        off = [[v + w for v, w in zip(*rows, strict=True)] for rows in zip(off, R, strict=True)]
+    centre = [[cut(v, digits) for v in row] for row in ball.centre]
+    off = added_or(sizes(added(ball.centre, centre, -1)), ball.radius)
     return Ball(centre, [[2 * cut(v, digits) for v in row] for row in off])
 
 
 def cut(v: Fraction, digits: int) -> Fraction:
     """Return a number of so many digits that is near."""
-    places = digits - v.numerator.bit_length() + v.denominator.bit_length()
-    unit = Fraction(2) ** places
+    unit = Fraction(2) ** (digits - v.numerator.bit_length() + v.denominator.bit_length())
     return round(v * unit) / unit
-
-
-def times(ball: Ball, share: Fraction) -> Ball:
-    """Return a multiple, not negative."""
-    return Ball(*([[share * v for v in row] for row in X] for X in ball))
-
-
-def part(ball: Ball, first: int, end: int) -> Ball:
-    """Return some rows."""
-    return Ball(*(X[first:end] for X in ball))
-
-
-def zero(rows: int, columns: int) -> Ball:
-    """Return 0."""
-    return Ball([[Fraction(0)] * columns for _ in range(rows)])

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from fractions import Fraction
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
-from .balls import Ball, frozen, stacked, unlike
-from .matrices import AuditFault, Matrix, added, definite, inverted, product, transposed
+from .balls import Ball, frozen, stacked, unlike, zero
+from .matrices import AuditFault, Matrix, added, definite, identity, inverted, product, times, transposed
 from .plant import AuditedPlant
 from .reading import matrix, number, place
 
@@ -17,13 +17,12 @@ def normal_form(plant: AuditedPlant, generator: Any, resting: Any = None) -> tup
     With H = resting, eta + H s is played back: then no load may act on this eta in any cell.
     """
     degrees = generator["relative_degrees"]
-    (T, _), r, found = coordinates(plant, generator), sum(degrees), list[Ball]()
+    (T, _), r, n, found = coordinates(plant, generator), sum(degrees), len(plant.B[0]), list[Ball]()
     backs = once(Ball.inverse, T)
     if plant.elements is not None and len(unlike(T)) > 1:
         raise AuditFault("the last derivative of an output differs between cells, which are not listed")
     for T_i, A_i, back in zip(T, plant.A, backs, strict=True):
-        X, R = T_i @ A_i @ back
-        found.append(Ball([line[r:] for line in X[r:]], [line[r:] for line in R[r:]]))
+        found.append((T_i @ A_i @ back).rows(r, n).T.rows(r, n).T)
     if ("A_eta" in generator) != (plant.elements is None):
         raise AuditFault("A_eta is there where all cells are listed, and only there")
     if plant.elements is None and [matrix(X) for X in generator["A_eta"]] != [X for X, _ in found]:
@@ -42,14 +41,12 @@ def coordinates(plant: AuditedPlant, generator: Any) -> tuple[list[Ball], list[B
     if not fits or min(degrees) < 1 or [len(row) for row in Z] != [p] * m:
         raise AuditFault("the form (11) does not fit the plant")
     outputs = [tracked_derivatives(plant, j, degree) for j, degree in enumerate(degrees)]
-    C = [joined([rows.row(-1) for rows in cell]) for cell in zip(*outputs, strict=True)]
+    C = [stacked(*(rows.row(-1) for rows in cell)) for cell in zip(*outputs, strict=True)]
     BZ = plant.B @ Ball(Z)
     one_to_one([C_i @ BZ for _, C_i in unlike(C)], [number(v) for v in generator["scales"]])
-    share, N = BZ @ (C[0] @ BZ).inverse(), list[Ball]()
-    for j in internal:
-        own = Ball([[Fraction(int(j == k)) for k in range(n)]])
-        N.append(own - share.row(j) @ C[0])
-    return [joined([*cell, *N]) for cell in zip(*outputs, strict=True)], C
+    share, eye = BZ @ (C[0] @ BZ).inverse(), Ball(identity(n, 1))
+    N = [eye.row(j) - share.row(j) @ C[0] for j in internal]
+    return [stacked(*cell, *N) for cell in zip(*outputs, strict=True)], C
 
 
 def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
@@ -62,19 +59,14 @@ def tracked_derivatives(plant: AuditedPlant, j: int, degree: int) -> list[Ball]:
         if any(product(row[0], plant.B[0])[0]):
             raise AuditFault(f"the relative degree is not {degree}")
         if k == degree - 2:
-            return once(partial(_extended, rows), plant.A)
+            break
         following = row @ plant.A[0]
         for (A, _), (b, _) in zip(plant.A, plant.b, strict=True):
             if product(row[0], A) != following[0] or product(row[0], b) != product(row[0], plant.b[0][0]):
                 raise AuditFault("the derivatives of the output differ between cells before the input enters")
         row = following
         rows = stacked(rows, row)
-    return [rows] * len(plant.A)
-
-
-def _extended(rows: Ball, A: Ball) -> Ball:
-    """Return the rows c_k of a cell, the last of which is c A of the one before."""
-    return stacked(rows, rows.row(-1) @ A)
+    return [rows] * len(plant.A) if degree == 1 else once(lambda A: stacked(rows, row @ A), plant.A)
 
 
 def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
@@ -86,7 +78,7 @@ def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
     if any(v <= 0 for v in scales):
         raise AuditFault("a scale is not positive")
     total = reduce(added, (X for X, _ in D))
-    mean = inverted([[v / len(D) for v in row] for row in total])
+    mean = inverted(times(total, Fraction(1, len(D))))
     for X, _ in D:
         ratios = [[a / b for b in scales] for a in scales]
         Q = [[v * w for v, w in zip(*rows, strict=True)] for rows in zip(product(X, mean), ratios, strict=True)]
@@ -99,8 +91,7 @@ def shift(plant: AuditedPlant, degrees: list[int], T: list[Ball], backs: list[Ba
     if plant.loads is None:
         return None
     E, S = plant.loads
-    nothing = Ball([[Fraction(0)] * len(E[0][0])])
-    G = list[Ball]()
+    nothing, G = zero(1, len(E[0][0])), list[Ball]()
     for degree in degrees:
         G.append(nothing)
         for _ in range(degree - 1):
@@ -108,7 +99,7 @@ def shift(plant: AuditedPlant, degrees: list[int], T: list[Ball], backs: list[Ba
     r, n = len(G), len(E[0])
     if H and (len(H) != n - r or any(len(row) != len(S[0]) for row in H)):
         raise AuditFault("what loads add to eta does not fit the plant")
-    whole = joined(G + ([-Ball(H)] if H else [nothing] * (n - r)))
+    whole = stacked(*G, -Ball(H) if H else zero(n - r, len(E[0][0])))
     shifts = unlike(once(lambda back: -(back @ whole), backs))
     if len(shifts) > 1:
         raise AuditFault("loads move a derivative that differs between cells")
@@ -118,11 +109,6 @@ def shift(plant: AuditedPlant, degrees: list[int], T: list[Ball], backs: list[Ba
         if open_ or any(any(row) for row in W[r:]):
             raise AuditFault("a load acts on an eta that is played back")
     return X
-
-
-def joined(rows: list[Ball]) -> Ball:
-    """Return matrices below each other."""
-    return reduce(stacked, rows)
 
 
 def once(function: Callable[[Ball], Ball], balls: list[Ball]) -> list[Ball]:

@@ -69,6 +69,11 @@ def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     return [[a + factor * b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
 
 
+def times(X: Matrix, factor: Fraction | int) -> Matrix:
+    """Return factor X."""
+    return [[factor * v for v in row] for row in X]
+
+
 def transposed(X: Matrix) -> Matrix:
     """Return the transpose."""
     return [list(column) for column in zip(*X, strict=True)]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
-from .balls import Ball, sides, stacked
+from .balls import Ball, sides, stacked, zero
 from .cells import Cells
 from .elements import Elements
 from .matrices import AuditFault, Matrix, rank, spend, transposed
@@ -24,11 +24,16 @@ class AuditedPlant:
         radius = content["radius"]
         self.B, self.C, self.tracked = (ball(content[name], radius[name]) for name in ("B", "C", "tracked_rows"))
         self.elements = Elements(content) if "elements" in content else None
-        self.cells = Cells(content if self.elements is None else {"H": [], "h": [], "signs": []})
-        self.A, self.b = self.listed(content) if self.elements is None else self.corners(self.elements, named, radius)
-        self.names = content["cells"] if self.elements is None else []
-        self.count = len(self.names) if self.elements is None else self.elements.count
-        self.named = list(range(self.count)) if self.elements is None else list(named)  # the last of A are theirs
+        if self.elements is None:
+            self.cells, self.names = Cells(content), content["cells"]
+            self.A, self.b = self.listed(content)
+            self.count, self.named = len(self.names), [*range(len(self.names))]
+        else:
+            if radius["A"] or radius["b"]:
+                raise AuditFault("the numbers of elements are exact")
+            self.cells, self.names = Cells({"H": [], "h": [], "signs": []}), []
+            self.A, self.b = self.elements.fields([*self.elements.corners, *map(self.elements.segments, named)])
+            self.count, self.named = self.elements.count, [*named]  # the last of A are theirs
         self.loads: tuple[Ball, Ball] | None = None
         self.seconds = set[int]()  # states of loads that are the second of a sinusoid
         self.seen_A, self.seen_C = self.A, self.C
@@ -41,29 +46,21 @@ class AuditedPlant:
             if len(content[name]) != count:
                 raise AuditFault(f"there are not as many {name} as names")
         sizes = {(len(X), len(row)) for X, _ in self.A for row in X}
-        if not n or not self.A or sizes != {(n, n)} or rows != {n}:
-            raise AuditFault("the matrices of the plant do not fit together")
-        if any([len(row) for row in X] != [1] * n for X, _ in self.b):
+        fits = n and self.A and sizes == {(n, n)} and rows == {n}
+        if not fits or any([len(row) for row in X] != [1] * n for X, _ in self.b):
             raise AuditFault("the matrices of the plant do not fit together")
 
     def listed(self, content: Any) -> tuple[list[Ball], list[Ball]]:
         """Return A_i and b_i of cells that are all listed."""
         radius, cells, (planes, signs) = content["radius"], content["cells"], (self.cells.planes, self.cells.signs)
         lists = [content[name] for name in ("A", "b", "signs")] + [radius[name] for name in ("A", "b") if radius[name]]
-        if any(len(X) != len(cells) for X in lists) or any(len(row) != len(planes) for row in signs):
-            raise AuditFault("the matrices of the plant do not fit together")
-        if any(len(plane) != len(self.B[0]) + 1 for plane in planes):
+        fits = all(len(X) == len(cells) for X in lists) and all(len(row) == len(planes) for row in signs)
+        if not fits or any(len(plane) != len(self.B[0]) + 1 for plane in planes):
             raise AuditFault("the matrices of the plant do not fit together")
         if len({plane[:2] for plane in self.cells.parallel}) != len(planes):
             raise AuditFault("two hyperplanes are one")
         A, b = ([ball(X, radius[name] and radius[name][i]) for i, X in enumerate(content[name])] for name in ("A", "b"))
         return A, b
-
-    def corners(self, elements: Elements, named: Sequence[int], radius: Any) -> tuple[list[Ball], list[Ball]]:
-        """Return what stands for A_i and b_i of cells that are not listed."""
-        if radius["A"] or radius["b"]:
-            raise AuditFault("the numbers of elements are exact")
-        return elements.fields([*elements.corners, *map(elements.segments, named)])
 
     def name(self, i: int) -> str:
         """Return what a cell is called."""
@@ -81,14 +78,12 @@ class AuditedPlant:
         n, p = len(self.B[0]), len(S[0])
         if not p or len(E[0]) != n or {len(row) for row in (*E[0], *S[0])} != {p}:
             raise AuditFault("the loads do not fit to the plant")
-        below = Ball([[Fraction(0)] * n for _ in range(p)])
-        beside = Ball([[Fraction(0)] * p for _ in self.C[0]])
         self.loads = E, S
         self.seconds = set(range(p)) - {place(k, p) for k in content["where"]}
         if len(content["names"]) != len(content["where"]):
             raise AuditFault("there are not as many loads as names")
-        self.seen_A = [stacked(sides(A, E), sides(below, S)) for A in self.A]
-        self.seen_C = sides(self.C, beside)
+        self.seen_A = [stacked(sides(A, E), sides(zero(p, n), S)) for A in self.A]
+        self.seen_C = sides(self.C, zero(len(self.C[0]), p))
 
     def unmatched(self) -> bool:
         """Say whether some load enters where no input does: nothing makes up for it while all of x_d is given."""
@@ -106,9 +101,8 @@ class AuditedPlant:
         if self.loads is None:
             return []
         (E, open_E), (S, open_S), (B, open_B) = *self.loads, self.B
-        columns = [list(column) for column in zip(*B, strict=True)]
+        columns, entered = transposed(B), transposed(E)
         exact = not (open_E or open_S or open_B or any(map(any, S)) or rank(B) < len(columns))
-        entered = [list(column) for column in zip(*E, strict=True)]
         return [columns.index(column) for column in entered] if exact and all(e in columns for e in entered) else []
 
     def problem(self, of: str, K: Any, L: Any, A_eta: Any) -> tuple[list[Ball], Matrix]:

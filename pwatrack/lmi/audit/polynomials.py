@@ -5,7 +5,7 @@ from math import comb, factorial, prod
 from typing import Any
 
 from .balls import Ball, falls, unlike
-from .matrices import AuditFault, Matrix, added, definite, identity, spend
+from .matrices import AuditFault, Matrix, definite, identity, spend
 from .reading import matrix, number, packed
 
 Exponents = tuple[int, ...]
@@ -26,11 +26,11 @@ def polynomial(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str
     if len(proof["N"]) != len(different):
         raise AuditFault("there is not one N for each different matrix")
     for (i, M), content in zip(different, proof["N"], strict=True):
-        F, R = (lifted(X, monomials) for X in Ball(T) @ M @ back)
+        F = Ball(*(lifted(X, monomials) for X in Ball(T) @ M @ back))
         N = packed(content)[0]
         if not vanishes(N, monomials):
             faults.append(f"m^T N m is not 0 for M_{i + 1}")
-        if not falls(Ball(added(F, identity(len(P), d * rate)), R).T, P, powers, N):
+        if not falls(F.T, P, powers, N, rate=d * rate):
             faults.append(f"the inequality fails for M_{i + 1}")
     return faults
 

@@ -1,6 +1,7 @@
 """The matrix inequalities: of a design, of a cost, and proofs that no gain can satisfy them."""
 
 from fractions import Fraction
+from functools import reduce
 from typing import Any
 
 from .balls import Ball, falls, unlike
@@ -37,7 +38,7 @@ def no_P_by_modes(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[
     faults, counts = no_P(proof), set[int]()
     for i, content in proof["P"].items():
         P, M = packed(content)[0], matrices[int(i)][0]
-        if len(P) != len(M) or not falls(Ball(M), P, [], None):
+        if len(P) != len(M) or not falls(Ball(M), P, []):
             faults.append(f"the inequality fails for M_{int(i) + 1}")
         counts.add(positive(P))
     return faults if len(counts) > 1 else [*faults, "these cells have as many unstable modes"]
@@ -45,12 +46,8 @@ def no_P_by_modes(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[
 
 def no_P_by_Z(matrices: list[Ball], _: Matrix, proof: Any, __: Any) -> list[str]:
     """Return what is wrong with one proof of that by multipliers."""
-    Z, faults = multipliers(proof, len(matrices[0][0])), no_P(proof)
-    S = identity(len(matrices[0][0]), 0)
-    for i, Z_i in Z.items():
-        half = product(Z_i, matrices[i][0])
-        S = added(S, added(half, transposed(half)))
-    right = all(definite(Z_i, semi=True) for Z_i in Z.values()) and any(any(map(any, Z_i)) for Z_i in Z.values())
+    (Z, S), faults = multipliers(matrices, proof, Fraction(0)), no_P(proof)
+    right = all(definite(Z_i, semi=True) for Z_i in Z) and any(any(map(any, Z_i)) for Z_i in Z)
     faults += [] if right else ["the Z are not positive semidefinite, or all 0"]
     return [*faults, "the sum of Z M + M^T Z is not 0"] if any(map(any, S)) else faults
 
@@ -61,22 +58,25 @@ def no_P(proof: Any) -> list[str]:
     return [] if right else ["only a generator may have a P of any sign"]
 
 
-def multipliers(proof: Any, n: int) -> dict[int, Matrix]:
-    """Return the Z of a proof by cell: symmetric, of order n."""
-    Z = {int(i): symmetric(Z_i, "Z") for i, Z_i in proof["Z"].items()}
-    if any(len(Z_i) != n for Z_i in Z.values()):
-        raise AuditFault("Z is not of the order of the matrices")
-    return Z
+def multipliers(matrices: list[Ball], proof: Any, rate: Fraction) -> tuple[list[Matrix], Matrix]:
+    """Return the Z of a proof, which are symmetric, and the sum of Z (M + rate I) and its transpose."""
+    n, found = len(matrices[0][0]), list[Matrix]()
+    S = identity(n, 0)
+    for i, content in proof["Z"].items():
+        Z = symmetric(content, "Z")
+        if len(Z) != n:
+            raise AuditFault("Z is not of the order of the matrices")
+        half = product(Z, added(matrices[int(i)][0], identity(n, rate)))
+        S = added(S, added(half, transposed(half)))
+        found.append(Z)
+    return found, S
 
 
 def failing(matrices: list[Ball], P: Matrix, powers: list[Fraction], rate: Fraction, margin: Fraction) -> list[str]:
     """Return the cells in which -(M P + P M^T) - 2 rate P - margin I is not positive definite."""
-    shift, rest = identity(len(P), rate), identity(len(P), margin)
-    return [
-        f"the inequality fails for M_{i + 1}"
-        for i, (M, R) in unlike(matrices)
-        if not falls(Ball(added(M, shift), R), P, powers, rest)
-    ]
+    rest = identity(len(P), margin)
+    failed = (i for i, M in unlike(matrices) if not falls(M, P, powers, rest, rate=rate))
+    return [f"the inequality fails for M_{i + 1}" for i in failed]
 
 
 def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
@@ -85,25 +85,18 @@ def cost(matrices: list[Ball], _: Matrix, proof: Any, K: Any) -> list[str]:
     if not definite(X) or not definite(R) or not definite(Q, semi=True):
         return ["X, Q or R is not positive definite"]
     weight = added(Q, product(transposed(K), product(R, K)))
-    powers = [
-        Fraction(2) ** ((row[j].numerator.bit_length() - row[j].denominator.bit_length()) // 2)
-        for j, row in enumerate(X)
-    ]
-    return [
-        f"the bound of the cost fails for M_{i + 1}" for i, M in unlike(matrices) if not falls(M.T, X, powers, weight)
-    ]
+    sizes = [row[j].numerator.bit_length() - row[j].denominator.bit_length() for j, row in enumerate(X)]
+    powers = [Fraction(2) ** (size // 2) for size in sizes]
+    failed = (i for i, M in unlike(matrices) if not falls(M.T, X, powers, weight))
+    return [f"the bound of the cost fails for M_{i + 1}" for i in failed]
 
 
 def refuted(matrices: list[Ball], B: Matrix, proof: Any, _: Any) -> list[str]:
     """Return what is wrong with one proof of impossibility."""
-    n = len(matrices[0][0])
-    Z = multipliers(proof, n)
-    total = S = identity(n, 0)
-    for i, Z_i in Z.items():
-        half = product(Z_i, added(matrices[i][0], identity(n, number(proof["rate"]))))
-        total, S = added(total, Z_i), added(S, added(half, transposed(half)))
+    Z, S = multipliers(matrices, proof, number(proof["rate"]))
+    total = reduce(added, Z, identity(len(S), 0))
     alone = len(Z) == 1 and not definite(total, semi=True, sign=-1)
-    right = alone or (any(map(any, total)) and all(definite(Z_i, semi=True) for Z_i in Z.values()))
+    right = alone or (any(map(any, total)) and all(definite(Z_i, semi=True) for Z_i in Z))
     faults = [] if right else ["the Z are not positive semidefinite, or all 0"]
     if B and any(map(any, product(total, B))):
         faults.append("the sum of Z B is not 0")

@@ -1,32 +1,31 @@
 """From which starts errors go to 0 although inputs are cut off at limits: regions in which forms fall."""
 
+from functools import reduce
+from itertools import compress
 from itertools import product as choices
 from typing import Any
 
-from .balls import Ball, falls, stacked
+from .balls import Ball, falls, stacked, zero
 from .bounds import Loop
-from .matrices import AuditFault, Matrix, added, definite, identity, product, transposed
+from .matrices import AuditFault, Matrix, definite, product
 from .polynomials import coefficients, exponents, polynomial, substituted
 from .reading import distinct, matrix, number, packed
 from .shape import PROOFS, ROWS
-from .starts import SHAPE as STARTS
-from .starts import around, bounded, kind_of, loop_of, starts_of
+from .starts import STARTS, around, bounded, held, kind_of, loop_of, starts_of
 
-KEY = "regions"
-BY_ELLIPSOID = STARTS[0] | {"H": ROWS}
+BY_ELLIPSOID = STARTS | {"H": ROWS}
 BY_POLYNOMIAL = {key: shape for key, shape in BY_ELLIPSOID.items() if key != "Q"} | {"V": PROOFS["polynomial"]}
-SHAPE = [(BY_ELLIPSOID, BY_POLYNOMIAL)]
+SHAPE = {"regions": [(BY_ELLIPSOID, BY_POLYNOMIAL)]}
 
 
-def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the regions with limits active, and what they claim."""
+    found = whole["regions"]
     distinct([[entry["of"]] for entry in found], "a region")
     faults = [f"region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(loop, entry)]
     every = any(entry["of"] == "every" for entry in found)
-    said = "with inputs at their limits errors go to 0 from " + (
-        "every start" if every else f"{len(found)} boxes of starts"
-    )
-    return faults, [said] if found else []
+    starts = "every start" if every else f"{len(found)} boxes of starts"
+    return faults, [f"with inputs at their limits errors go to 0 from {starts}"] if found else []
 
 
 def wrong(loop: Loop, entry: Any) -> list[str]:
@@ -51,7 +50,7 @@ def wrong(loop: Loop, entry: Any) -> list[str]:
         faults += [] if definite(Q) else ["its form is not positive definite"]
     else:
         faults += around(entry, Q)
-    return faults + [LEFT for X in limited if not falls(X, Q, powers, None)]
+    return faults + [LEFT for X in limited if not falls(X, Q, powers)]
 
 
 LEFT = "errors can leave it, or do not go to 0"
@@ -59,17 +58,11 @@ LEFT = "errors can leave it, or do not go to 0"
 
 def vertices(loop: Loop, name: str, wanted: str, matrices: list[Ball], inputs: list[int], H: Matrix) -> list[Ball]:
     """Return the matrices of the loop with rows H in place of what inputs are made of, for all sets of inputs."""
-    found, nothing, order = list[Ball](), identity(1, 0)[0], len(H[0])
-    for chosen in choices((0, 1), repeat=len(inputs)):
-        change = None
-        for k, row, is_chosen in zip(inputs, H, chosen, strict=True):
-            if is_chosen:
-                enters = loop.plant.B.column(k)
-                zero = [nothing] * (order - len(enters.centre))
-                one = (stacked(enters, Ball(zero)) if zero else enters) @ (Ball([row]) - loop.row(name, wanted, k))
-                change = one if change is None else change + one
-        found += [M if change is None else M + change for M in matrices]
-    return found
+    B = stacked(loop.plant.B, zero(len(H[0]) - len(loop.plant.B.centre), len(loop.K)))
+    pairs = zip(inputs, H, strict=True)
+    changes = [B.column(k) @ (Ball([row]) - loop.row(name, wanted, k)) for k, row in pairs]
+    sets = choices((False, True), repeat=len(inputs))
+    return [reduce(Ball.__add__, compress(changes, chosen), M) for chosen in sets for M in matrices]
 
 
 def by_polynomial(entry: Any, wanted: str, limited: list[Ball], H: Matrix) -> list[str]:
@@ -83,9 +76,7 @@ def by_polynomial(entry: Any, wanted: str, limited: list[Ball], H: Matrix) -> li
     monomials, back = exponents(len(T), d), Ball(T).inverse().centre
     G, weights = starts_of(entry, len(T), d)
     S = substituted(product(T, G), monomials, exponents(len(G[0]), d))
-    box = [[w * (j == k) for k in range(len(weights))] for j, w in enumerate(weights)]
-    inside = definite(added(box, product(transposed(S), product(P, S)), -1))
-    faults += [] if inside else ["a start is not in the region"]
+    faults += held(P, S, weights)
     distinct([signal[:2] for signal in entry["signals"]], "a signal")
     if any(kind != wanted for kind, *_ in entry["signals"]):
         raise AuditFault(f"limits are said of '{wanted}' here")

@@ -1,4 +1,4 @@
-"""The loop that is sampled, for every plant of a box: forms that fall at a rate."""
+"""The loop that is sampled, for every plant of a box: forms that fall at a rate, and tubes of what is left."""
 
 from typing import Any
 
@@ -9,13 +9,16 @@ from .matrices import AuditFault
 from .reading import number
 from .shape import NUMBER, PACKED, of
 from .ticks import AuditedErrors
+from .tubes import TUBES, Tubes, left
 
-KEY = "sampled_uncertain"
-SHAPE = (None, of(NUMBER, "rate") | {"P": [PACKED]})
+SHAPE = {"sampled_uncertain": (None, of(NUMBER, "rate") | {"P": [PACKED]}), "sampled_uncertain_bounds": TUBES}
 
 
-def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
-    """Return what is wrong with the proof of the sampled loop for plants between some corners, and what it claims."""
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+    """Return what is wrong with the proofs of the sampled loop for plants between some corners, and what they claim."""
+    content, found = whole["sampled_uncertain"], whole["sampled_uncertain_bounds"]
+    if found and (content is None or whole["practical"] is not None):
+        raise AuditFault("there are bounds for uncertain parameters and sampling, and no proof, or cells are merged")
     if content is None:
         return [], []
     if whole["sampled"] is None or whole["uncertain"] is None:
@@ -25,6 +28,10 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
         raise AuditFault("the rate of the sampled loop for uncertain parameters is out of range")
     box = UncertainLoop(whole["plant"], whole["uncertain"]["corners"], loop.K, loop.L)
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
-    faults = growing(errors, whole["sampled"], content["P"], errors.ticks, rate)
+    wrong = growing(errors, content["P"], errors.ticks, rate)
     said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s, {len(errors.flows)} flows proved"
-    return [f"the sampled loop for uncertain parameters: {fault}" for fault in faults], [said]
+    faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
+    if found:
+        outside, claimed = left(found, Tubes(errors, []), " for uncertain parameters")
+        faults, more = faults + outside, more + claimed
+    return faults, more

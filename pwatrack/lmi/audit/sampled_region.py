@@ -1,24 +1,27 @@
 """From which starts the errors of a sampled loop go to 0 although inputs are cut off at limits: forms that fall."""
 
 from fractions import Fraction
+from functools import reduce
+from itertools import chain
 from itertools import product as choices
 from typing import Any
 
 from .balls import Ball
 from .bounds import SIGNALS, Loop
 from .clocked import growing, predicted
-from .matrices import AuditFault, added, definite, product, transposed
+from .matrices import AuditFault, added, definite, identity
 from .reading import distinct, matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
-from .starts import kind_of
+from .starts import held, kind_of, starts_of
 from .ticks import AuditedErrors
 
-KEY = "sampled_regions"
-SHAPE = [of(TEXT, "of loop") | of(ROWS, "starts H") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}]
+REGION = of(TEXT, "of loop") | of(ROWS, "starts H") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}
+SHAPE = {"sampled_regions": [REGION]}
 
 
-def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the regions of the sampled loop with limits active, and what they claim."""
+    found = whole["sampled_regions"]
     if not found:
         return [], []
     if whole["sampled"] is None:
@@ -28,15 +31,14 @@ def decided(found: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if errors.estimates is not None:
         raise AuditFault("regions are not said of loads that do not only act at inputs")
     kind_of(loop, "joint")
-    faults = [
-        f"sampled region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(errors, entry, whole)
-    ]
+    each = (wrong(errors, entry) for entry in found)
+    faults = [f"sampled region {k}: {fault}" for k, some in enumerate(each, 1) for fault in some]
     every = any(entry["of"] == "every" for entry in found)
     starts = "every start" if every else f"{len(found)} boxes of starts"
     return faults, [f"with inputs at their limits errors of the sampled loop go to 0 from {starts}"]
 
 
-def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
+def wrong(errors: AuditedErrors, entry: Any) -> list[str]:
     """Return what is wrong with one region."""
     H, P = matrix(entry["H"]), packed(entry["P"][-1])[0]
     inputs = [place(k, errors.m) for _, k, _ in entry["signals"]]
@@ -57,21 +59,15 @@ def wrong(errors: AuditedErrors, entry: Any, whole: Any) -> list[str]:
         most = number(size)
         if any(row) and not (most > 0 and definite(added(P, [[a * b / most**2 for b in row] for a in row], -1))):
             faults.append(f"{kind} {k} is not bounded by {size}")
-    return faults + growing(errors, whole["sampled"], entry["P"], ticks(errors, inputs, changing, H), Fraction(0))
+    return faults + growing(errors, entry["P"], ticks(errors, inputs, changing, H), Fraction(0))
 
 
 def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:
     """Return what is wrong with starts that are to be inside, z before a tick with nu = 0 and rho = 0."""
-    G, weights = matrix(entry["starts"]), [number(w) for w in entry["weights"]]
-    fits = weights and min(weights) > 0 and sum(weights) <= 1 and len(G) == errors.order
-    if not fits or any(len(row) != len(weights) for row in G):
-        raise AuditFault("the weights of the starts are not positive, or more than 1 together")
-    n, m, N = errors.n, errors.m, errors.N
+    (G, weights), n, m, N = starts_of(entry, errors.order, 1), errors.n, errors.m, errors.N
     if any(map(any, G[n : n + m])) or any(map(any, G[n + m + N :])):
         raise AuditFault("a start of the sampled loop has an input that is held, or a prediction")
-    box = [[w * (j == k) for k in range(len(weights))] for j, w in enumerate(weights)]
-    inside = definite(added(box, product(transposed(G), product(P, G)), -1))
-    return [] if inside else ["a start is not in the region"]
+    return held(P, G, weights)
 
 
 def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any) -> list[Ball]:
@@ -80,19 +76,13 @@ def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any
     A row of a change is added to what the input was before.
     """
     (J,), n, m = errors.ticks, errors.n, errors.m
-    eye = Ball([[Fraction(j == k) for k in range(errors.order)] for j in range(errors.order)])
-    changes: dict[int, list[Ball | None]] = {k: [None] for k in inputs}
+    eye = Ball(identity(errors.order, 1))
+    changes: dict[int, list[list[Ball]]] = {k: [[]] for k in inputs}
     for k, is_change, row in zip(inputs, changing, H, strict=True):
         made, before = J.row(n + k), eye.row(n + k)
         for load in range(len(errors.at)):
             if errors.at[load] == k and not errors.late:  # else it is in nu
                 made, before = made - J.row(n + m + n + load), before - eye.row(n + m + n + load)
         rest = Ball([row]) + before - made if is_change else Ball([row]) - made
-        changes[k].append(eye.row(n + k).T @ rest)
-    found = list[Ball]()
-    for chosen in choices(*changes.values()):
-        tick = J
-        for change in chosen:
-            tick = tick if change is None else tick + change
-        found.append(tick)
-    return found
+        changes[k].append([eye.row(n + k).T @ rest])
+    return [reduce(Ball.__add__, chain(*chosen), J) for chosen in choices(*changes.values())]

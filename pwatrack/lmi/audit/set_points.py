@@ -6,38 +6,20 @@ eta = centre + z + M (xi less its middle).
 
 from fractions import Fraction
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
-from .balls import Ball, falls, unlike
+from .balls import Ball, added_or, beyond, falls, sides, squared, stacked, unit, unlike, zero
 from .bounds import Loop
-from .form import coordinates, joined, once
-from .matrices import AuditFault, Matrix, added, definite, identity, product, spend, transposed
+from .form import coordinates, once
+from .matrices import AuditFault, added, definite, identity, times
 from .plant import AuditedPlant
 from .reading import matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, WHOLE, of
 
-KEY = "set_points"
 PART = {"of": TEXT, "k": WHOLE, "a": NUMBER, "Q": PACKED, "sizes": [NUMBER]}
 KEPT = {"box": [(None, [NUMBER, NUMBER])], "start": [NUMBER], "cell": WHOLE, "centre": [NUMBER], "parts": [PART]}
 KEPT |= of(ROWS, "M forms u_ff") | {"cells": [(of(ROWS, "lowest highest"), {"not_reached": [NUMBER]})]}
-SHAPE = (None, KEPT)
-
-
-class Row(NamedTuple):
-    """A row of numbers, and by how much each may be off."""
-
-    at: list[Fraction]
-    off: list[Fraction]
-
-    @classmethod
-    def of(cls, ball: Ball, k: int) -> "Row":
-        """Return a row of a matrix."""
-        return cls(ball.centre[k], ball.radius[k] if ball.radius else [Fraction(0)] * len(ball.centre[k]))
-
-    @property
-    def sizes(self) -> list[Fraction]:
-        """Return the largest size of each number."""
-        return [abs(v) + r for v, r in zip(*self, strict=True)]
+SHAPE = {"set_points": (None, KEPT)}
 
 
 class ToldSetPoints:
@@ -63,77 +45,46 @@ class ToldSetPoints:
             raise AuditFault("what set-points keep does not fit the plant")
         if any(v for k, v in enumerate(self.middle) if k not in firsts):
             raise AuditFault("a derivative is not as large upward as downward")
+        (r, p, q), middle, eta = (self.r, self.p, self.q), Ball([self.middle[: self.r]]).T, Ball([self.eta]).T
+        self.shift = stacked(  # (xi, eta, y^(r), 1) of (v, z, 1)
+            sides(Ball(identity(r, 1)), zero(r, p + q), middle),
+            sides(Ball(self.M), zero(q, p), Ball(identity(q, 1)), eta),
+            sides(zero(p, r), Ball(identity(p, 1)), zero(p, q + 1)),
+            unit(r + p + q + 1, r + p + q).T,
+        )
         self.cells = self.rows(plant, generator)
 
-    def rows(self, plant: AuditedPlant, generator: Any) -> list[tuple[list[Row], list[Row], list[Row]]]:
+    def rows(self, plant: AuditedPlant, generator: Any) -> list[tuple[Ball, Ball, Ball]]:
         """Return u_ff, eta', and what is nowhere negative in each cell, on (xi, eta, y^(r), 1)."""
         Z, last = Ball(matrix(generator["directions"])), [k - 1 for k in accumulate(self.degrees)]
-        T, _ = coordinates(plant, generator)
-        found = list[tuple[list[Row], list[Row], list[Row]]]()
+        n, (T, _), found = self.r + self.q, coordinates(plant, generator), list[tuple[Ball, Ball, Ball]]()
         for i, (T_i, back) in enumerate(zip(T, once(Ball.inverse, T), strict=True)):
             A, b = plant.A[i], plant.b[i]
-            o = joined(
-                [T_i.row(k - 1) @ b if self.higher(k) else Ball([[Fraction(0)]]) for k in range(len(T_i.centre))]
-            )
-            whole = T_i @ A @ back
-            field = sides_of(whole, T_i @ b - whole @ o)
-            X = Z @ (joined([T_i.row(k) for k in last]) @ plant.B @ Z).inverse()
-            u = sides_of(-(X @ joined([field.row(k) for k in last])), X)
-            planes = [
-                ([side * v for v in plane[:-1]], side * plane[-1])
-                for plane, side in zip(plant.cells.planes, plant.cells.signs[i], strict=True)
-                if side
-            ]
-            inside = list[Row]()
-            for line, constant in planes:
-                H = Ball([line]) @ back
-                inside.append(self.ordered(Row.of(sides_of(H, Ball([[constant]]) - H @ o), 0)))
-            rates = [self.ordered(Row.of(field, self.r + j)) for j in range(self.q)]
-            found.append(([self.ordered(Row.of(u, k)) for k in range(len(X.centre))], rates, inside))
+            o = stacked(*(T_i.row(k - 1) @ b if self.higher(k) else zero(1, 1) for k in range(n)))
+            field = T_i @ A @ back
+            rest = T_i @ b - field @ o
+            X = Z @ (stacked(*map(T_i.row, last)) @ plant.B @ Z).inverse()
+            u = sides(-(X @ stacked(*map(field.row, last))), X, -(X @ stacked(*map(rest.row, last))))
+            rates = sides(field.rows(self.r, n), zero(self.q, self.p), rest.rows(self.r, n))
+            pairs = zip(plant.cells.planes, plant.cells.signs[i], strict=True)
+            planes = [[side * v for v in plane] for plane, side in pairs if side]
+            H, h = Ball([plane[:-1] for plane in planes]) @ back, Ball([plane[-1:] for plane in planes])
+            found.append((u, rates, sides(H, zero(len(planes), self.p), h - H @ o)))
         return found
 
     def higher(self, k: int) -> bool:
         """Say whether a coordinate is the derivative of the one before."""
         return k < self.r and k not in (0, *accumulate(self.degrees))
 
-    def ordered(self, row: Row) -> Row:
-        """Return a row on (xi, eta, 1, y^(r)), or on (xi, eta, 1), as one on (xi, eta, y^(r), 1)."""
-        n = self.r + self.q
-        at, off = ([*v[:n], *(v[n + 1 :] or [Fraction(0)] * self.p), v[n]] for v in row)
-        return Row(at, off)
+    def moved(self, rows: Ball) -> Ball:
+        """Return rows on (xi, eta, y^(r), 1) as ones on (v, z, 1)."""
+        return rows @ self.shift
 
-    def moved(self, row: Row) -> Row:
-        """Return a row on (xi, eta, y^(r), 1) as one on (v, z, 1)."""
-        r, n = self.r, self.r + self.q
-        found = list[list[Fraction]]()
-        size = [[[abs(v) for v in line] for line in self.M], *([abs(v) for v in x] for x in (self.middle, self.eta))]
-        for v, (M, middle, eta) in zip(row, ([self.M, self.middle, self.eta], size), strict=True):
-            xi = [v[k] + sum((v[r + j] * M[j][k] for j in range(self.q)), Fraction(0)) for k in range(r)]
-            constant = v[-1] + dot(v[:r], middle[:r]) + dot(v[r:n], eta)
-            found.append([*xi, *v[n:-1], *v[r:n], constant])
-            spend(r * self.q + len(v))
-        return Row(*found)
-
-    def driving(self, i: int) -> list[Row]:
+    def driving(self, i: int) -> Ball:
         """Return z' in a cell on (v, z, 1): eta' less M xi'."""
-        found, firsts = [self.moved(row) for row in self.cells[i][1]], [0, *accumulate(self.degrees)]
-        for row, line in zip(found, self.M, strict=True):
-            for k, v in enumerate(line):
-                row.at[self.r + firsts.index(k + 1) - 1 if k + 1 in firsts else k + 1] -= v
-        return found
-
-
-def sides_of(one: Ball, other: Ball) -> Ball:
-    """Return one matrix beside another."""
-    return Ball(
-        [[*a, *b] for a, b in zip(one.centre, other.centre, strict=True)],
-        [[*a, *b] for a, b in zip(radius(one), radius(other), strict=True)] if one.radius or other.radius else [],
-    )
-
-
-def radius(ball: Ball) -> Matrix:
-    """Return the radius of a matrix, where there is none 0."""
-    return ball.radius or [[Fraction(0)] * len(row) for row in ball.centre]
+        ends, width = [*accumulate(self.degrees)], self.r + self.p + self.q + 1
+        places = [self.r + ends.index(k) if k in ends else k for k in range(1, self.r + 1)]
+        return self.moved(self.cells[i][1]) - Ball(self.M) @ stacked(*(unit(width, k).T for k in places))
 
 
 def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
@@ -141,15 +92,16 @@ def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
     return sum((a * b for a, b in zip(one, other, strict=True) if a and b), Fraction(0))
 
 
-def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the intervals of the inputs for all set-points, and what they claim."""
+    content = whole["set_points"]
     if content is None:
         return [], []
     kept = ToldSetPoints(content, loop.plant, whole["generator"])
     faults = list[str]()
     for k in kept.open:
-        unlike_cells = kept.cells if len(kept.cells) > 1 else [(*cell[:2], list[Row]()) for cell in kept.cells]
-        if any(row.sizes[k] for cell in unlike_cells for rows in cell for row in rows):
+        depending = [rows for cell in kept.cells for rows in (cell if len(kept.cells) > 1 else cell[:2])]
+        if any(row[k] for rows in depending for row in rows.most):
             faults.append("an output that u_ff depends on has no range")
     sizes, wrong = bounded(kept, content["parts"], place(content["cell"], len(kept.cells))) if kept.q else ([], [])
     faults += wrong + intervals(kept, content, sizes)
@@ -159,12 +111,12 @@ def decided(content: Any, loop: Loop, whole: Any) -> tuple[list[str], list[str]]
 
 def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction], list[str]]:
     """Return what all rows of z are at most, by the ellipsoids of what drives it; and what is wrong with these."""
-    faults, q, width = list[str](), kept.q, len(kept.widths)
-    point = [*kept.middle[: kept.r], *kept.eta, *[Fraction(0)] * kept.p, Fraction(1)]
-    if any(dot(row.at, point) < dot(row.off, [abs(v) for v in point]) for row in kept.cells[cell][2]):
+    faults, width = list[str](), len(kept.widths)
+    inside = kept.moved(kept.cells[cell][2])
+    if any(low[-1] < 0 for low in added_or(inside.centre, times(inside.radius, -1))):
         faults.append("the middle is not in its cell")
     rates = [kept.driving(i) for i in range(len(kept.cells))]
-    M = [Ball([row.at[width:-1] for row in rate], [row.off[width:-1] for row in rate]) for rate in rates]
+    M = [rate.T.rows(width, width + kept.q).T for rate in rates]
     acting = list(drives(kept, rates, cell))
     if [(part["of"], part["k"]) for part in parts] != [(name, k) for name, k, _, _ in acting]:
         raise AuditFault("the ellipsoids are not of what drives the internal states")
@@ -177,85 +129,67 @@ def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction],
             faults.append("an ellipsoid of internal states can be left")
         Q, _ = packed(part["Q"])
         for line, most in zip(kept.forms, each, strict=True):
-            if most < 0 or product(product([line], Q), transposed([line]))[0][0] > most**2:
+            if beyond(Ball([line]), Q, most):
                 faults.append("a row of internal states is not bounded by its size")
         totals = [total + v * size for total, v in zip(totals, each, strict=True)]
-    return totals, faults if q else []
+    return totals, faults
 
 
-def drives(kept: ToldSetPoints, rates: list[list[Row]], cell: int) -> Any:
+def drives(kept: ToldSetPoints, rates: list[Ball], cell: int) -> Any:
     """Yield what drives z: each entry of v, as in one cell; by how much more others are; the start."""
-    own, q, one = rates[cell], range(kept.q), Fraction(1)
+    own, most_of_own = rates[cell], rates[cell].most
     for k, w in enumerate(kept.widths):
-        if w and any(row.sizes[k] for row in own):
-            yield "v", k, Ball([[row.at[k]] for row in own], [[row.off[k]] for row in own]), w
-    for j in q:
-        most = Fraction(0)
-        for rate in rates:
-            if rate is not own:
-                off = [
-                    abs(a - b) + r + s
-                    for a, b, r, s in zip(rate[j].at, own[j].at, rate[j].off, own[j].off, strict=True)
-                ]
-                most = max(most, dot(off[: len(kept.widths)], kept.widths))
-        most += own[j].sizes[-1]
+        if w and any(row[k] for row in most_of_own):
+            yield "v", k, own.column(k), w
+    others = [(rate - own).most for rate in rates if rate is not own]
+    for j in range(kept.q):
+        apart = [dot(rows[j][: len(kept.widths)], kept.widths) for rows in others]
+        most = max(apart, default=Fraction(0)) + most_of_own[j][-1]
         if most:
-            yield "rest", j, Ball([[one * (i == j)] for i in q]), most
+            yield "rest", j, unit(kept.q, j), most
     xi = [a - b for a, b in zip(kept.start[: kept.r], kept.middle[: kept.r], strict=True)]
     z = [a - b - dot(line, xi) for a, b, line in zip(kept.start[kept.r :], kept.eta, kept.M, strict=True)]
     if any(z):
-        yield "start", 0, Ball([[v] for v in z]), one
+        yield "start", 0, Ball([[v] for v in z]), Fraction(1)
 
 
 def stays(matrices: list[Ball], column: Ball, part: Any, *, start: bool) -> bool:
     """Decide whether z from 0 on, driven by a column of at most 1, or from that column on, stays in an ellipsoid."""
     (Q, powers), rate = packed(part["Q"]), number(part["a"])
-    square, open_ = column @ column.T
-    if rate <= 0 or not definite(Q) or (start and not definite(added(Q, square, -1))):
+    if rate <= 0 or not definite(Q) or (start and not definite(added(Q, squared(column)[0], -1))):
         return False
-    factor = Fraction(0) if start else 1 / rate
-    square, open_ = [[v * factor for v in row] for row in square], [[v * factor / 2 for v in row] for row in open_]
-    half = identity(len(Q), rate / 2)
-    return all(falls(Ball(added(X, half), R), Q, powers, square, open_) for X, R in matrices)
+    push = () if start else squared(column, 1 / rate)
+    return all(falls(X, Q, powers, *push, rate=rate / 2) for X in matrices)
 
 
 def intervals(kept: ToldSetPoints, content: Any, sizes: list[Fraction]) -> list[str]:
     """Return what is wrong with the intervals: multipliers say how far u_ff goes in each cell."""
     widths, faults = [*kept.widths, *sizes[: kept.q]], list[str]()
-    count, ends, zero = len(kept.cells[0][0]), matrix(content["u_ff"]), [Fraction(0)] * len(kept.widths)
+    count, ends = len(kept.cells[0][0].centre), matrix(content["u_ff"])
     if len(content["cells"]) != len(kept.cells) or [len(pair) for pair in ends] != [2] * count:
         raise AuditFault("there is not an interval for each input, or not all cells are there")
-    slabs = [
-        Row([*zero, *(sign * v for v in line), size], [Fraction(0)] * (len(widths) + 1))
-        for sign in (1, -1)
-        for line, size in zip(kept.forms[kept.q :], sizes[kept.q :], strict=True)
-    ]
+    forms, limits = Ball(kept.forms[kept.q :]), Ball([[size] for size in sizes[kept.q :]])
+    beside = zero(len(forms.centre), len(kept.widths))
+    slabs = [sides(beside, side, limits) for side in (forms, -forms)]
     for (u_ff, _, inside), told in zip(kept.cells, content["cells"], strict=True):
-        bounds = [*(kept.moved(row) for row in inside), *slabs]
+        bounds, here = stacked(kept.moved(inside), *slabs), kept.moved(u_ff)
         if "not_reached" in told:
-            nothing = Row([Fraction(0)] * (len(widths) + 1), [Fraction(0)] * (len(widths) + 1))
-            if largest(nothing, told["not_reached"], bounds, widths) >= 0:
+            if largest(zero(1, len(widths) + 1), told["not_reached"], bounds, widths) >= 0:
                 faults.append("a cell that is said not to be reached may be")
             continue
         if [len(told[name]) for name in ("lowest", "highest")] != [count] * 2:
             raise AuditFault("a cell has not multipliers for each input")
-        for row, low, high, (least, most) in zip(u_ff, told["lowest"], told["highest"], ends, strict=True):
-            here = kept.moved(row)
-            negative = Row([-v for v in here.at], here.off)
-            if largest(here, high, bounds, widths) > most or largest(negative, low, bounds, widths) > -least:
+        for k, (low, high, (least, most)) in enumerate(zip(told["lowest"], told["highest"], ends, strict=True)):
+            row = here.row(k)
+            if largest(row, high, bounds, widths) > most or largest(-row, low, bounds, widths) > -least:
                 faults.append("an input may leave its interval")
     return faults
 
 
-def largest(row: Row, weights: Any, bounds: list[Row], widths: list[Fraction]) -> Fraction:
+def largest(row: Ball, weights: Any, bounds: Ball, widths: list[Fraction]) -> Fraction:
     """Return what a row is at most in the box where bounds are nowhere negative, by multipliers of these."""
     each = [number(v) for v in weights]
-    if len(each) != len(bounds) or any(v < 0 for v in each):
+    if len(each) != len(bounds.centre) or any(v < 0 for v in each):
         raise AuditFault("the multipliers of a cell do not fit, or one is negative")
-    at, off = list(row.at), list(row.off)
-    for weight, bound in zip(each, bounds, strict=True):
-        if weight:
-            at = [a + weight * b for a, b in zip(at, bound.at, strict=True)]
-            off = [a + weight * b for a, b in zip(off, bound.off, strict=True)]
-            spend(2 * len(at))
-    return at[-1] + off[-1] + dot([abs(a) + b for a, b in zip(at[:-1], off[:-1], strict=True)], widths)
+    whole = row + Ball([each]) @ bounds if each else row
+    return whole.centre[0][-1] + dot(whole.most[0][:-1], widths) + sum(r[-1] for r in whole.radius)

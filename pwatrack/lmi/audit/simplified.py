@@ -3,19 +3,17 @@
 from fractions import Fraction
 from typing import Any
 
-from .balls import Ball, stacked
-from .bounds import SHAPE as BOUNDS
-from .bounds import SIGNALS, Loop
+from .balls import Ball, stacked, zero
+from .bounds import BOUNDS, SIGNALS, Loop
 from .elements import Element, Function
 from .matrices import AuditFault, Matrix, added, spend
 from .plant import AuditedPlant, at_centres
 from .reading import distinct, number, place
 from .shape import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, of
 
-KEY = "practical"
 MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}
 SPLIT = {"plant": LISTED, "merged": [MERGED], "observer_runs": TEXT, "ends_below": SIGNALS, "bounds": BOUNDS}
-SHAPE = (None, SPLIT)
+SHAPE = {"practical": (None, SPLIT)}
 Field = list[list[Fraction]]  # [A b] less what merged elements add
 
 
@@ -99,14 +97,14 @@ class Deviations(Loop):
         if channel[0] != "deviation":
             raise AuditFault("a bound of what is merged is one of a deviation")
         element = self.elements[place(channel[1], len(self.elements))]
-        zero, more = Fraction(0), len(self.L) - len(self.plant.B[0])
-        e = Ball([[v] for v in element.direction])
-        Delta = Ball([[zero] for _ in self.L]) if self.watched else -stacked(e, Ball([[zero]] * more))
+        e, N = Ball([[v] for v in element.direction]), len(self.L)
+        Delta = zero(N, 1) if self.watched else -stacked(e, zero(N - len(element.direction), 1))
         return {"joint": stacked(e, Delta), "controller": e, "observer": Delta}[loop]
 
 
-def decided(content: Any, of_design: Loop, whole: Any) -> tuple[list[str], list[str]]:
+def decided(of_design: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with a split of the true field and with its bounds, and what they claim."""
+    content = whole["practical"]
     if content is None:
         return [], []
     loop = Deviations(of_design.plant, content, of_design.K, of_design.L, of_design.X)

@@ -5,19 +5,20 @@ from fractions import Fraction
 from math import comb
 from typing import Any
 
-from .balls import Ball, falls
+from .balls import Ball, beyond, falls
 from .bounds import SIGNALS, Loop
 from .matrices import AuditFault, Matrix, added, definite, product, transposed
 from .reading import distinct, matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
 
-KEY = "limits"
 OF_STATE = ("output", "state", "measured")  # signals of x - x_d alone
-SHAPE = [of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}]
+STARTS = of(TEXT, "of loop") | {"starts": ROWS, "weights": [NUMBER], "Q": PACKED, "signals": SIGNALS}
+SHAPE = {"limits": [STARTS]}
 
 
-def decided(found: Any, loop: Loop, _: Any) -> tuple[list[str], list[str]]:
+def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds of signals from all boxes of starts, and what they claim."""
+    found = whole["limits"]
     faults = [f"starts {k}: {fault}" for k, entry in enumerate(found, 1) for fault in near(loop, entry)]
     return faults, [f"the bounds of signals with limits from {len(found)} boxes of starts are proved"] if found else []
 
@@ -28,7 +29,7 @@ def near(loop: Loop, entry: Any) -> list[str]:
     of_state = bool(entry["signals"]) and all(kind in OF_STATE for kind, *_ in entry["signals"])
     wanted = OF_STATE if of_state else (kind_of(loop, name),)
     faults = around(entry, Q)
-    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers, None)]
+    faults += ["an ellipsoid can be left" for M in loop.matrices(name) if not falls(M, Q, powers)]
     rows = [loop.row(name, kind, k) for kind, k, _ in entry["signals"] if kind in wanted]
     faults += bounded(entry, wanted, rows, Q)
     return faults if entry["signals"] else [*faults, "it bounds nothing"]
@@ -67,6 +68,13 @@ def starts_of(entry: Any, order: int, d: int) -> tuple[Matrix, list[Fraction]]:
     return G, weights
 
 
+def held(P: Matrix, S: Matrix, weights: list[Fraction]) -> list[str]:
+    """Return what is wrong with S^T P S < diag(weights), which has all starts in a region."""
+    box = [[w * (j == k) for k in range(len(weights))] for j, w in enumerate(weights)]
+    inside = definite(added(box, product(transposed(S), product(P, S)), -1))
+    return [] if inside else ["a start is not in the region"]
+
+
 def bounded(entry: Any, wanted: Sequence[str], rows: list[Ball], Q: Matrix) -> list[str]:
     """Return which sizes of rows are too small in an ellipsoid."""
     faults = list[str]()
@@ -74,8 +82,6 @@ def bounded(entry: Any, wanted: Sequence[str], rows: list[Ball], Q: Matrix) -> l
     if any(kind not in wanted for kind, *_ in entry["signals"]):
         raise AuditFault(f"limits are said of '{wanted[0]}' here")
     for (kind, k, size), c in zip(entry["signals"], rows, strict=True):
-        value, radius = c @ Ball(Q) @ c.T
-        largest: Fraction = value[0][0] + (radius[0][0] if radius else 0)
-        if number(size) < 0 or largest > number(size) ** 2:
+        if beyond(c, Q, number(size)):
             faults.append(f"{kind} {k} is not bounded by {size}")
     return faults

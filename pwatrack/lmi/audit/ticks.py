@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from itertools import permutations, product
 from typing import Any
 
-from .balls import Ball, sides, stacked, unlike
+from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
 from .estimates import Estimates
 from .matrices import AuditFault, identity
 from .plant import AuditedPlant
 from .reading import matrix, number
-from .vertices import outermost, within
 
 MOST_LATE = 10  # samples: as late as inputs may be
 MOST_FLOWS = 100_000  # more would take days
@@ -59,14 +58,16 @@ class AuditedErrors:
         self.predicted = max(1, content["delay"])
         self.widths = [self.n, self.m, *[self.N] * self.predicted, *[len(self.R[0])] * self.predicted]
         self.kept, self.held = sum(self.widths[: 2 + self.predicted]), sum(self.widths)
+        self.p = 0 if self.estimates is None else self.estimates.p
         if self.estimates is not None:
-            self.widths += [self.estimates.k + self.estimates.p, self.estimates.p]
+            self.widths += [self.estimates.k + self.p, self.p]
             if share and any(map(any, self.estimates.S[0])):
                 raise AuditFault("ticks come early and late, and a load oscillates")
         self.order, self.period = sum(self.widths), number(content["sample_time"])
         self.cells = outermost(plant.A)
         self.own = self.cells if watched is None else outermost(watched.A)
         self.changes = outermost([one - other for one, other in permutations(self.own, 2)])
+        self.parts = content["substeps"] if self.changes else 1
         self.read = [self.gain(change) for change in self.changes]
         if self.R[0] and not self.changes:
             raise AuditFault("the rows of the sampled loop do not span the differences of its cells")
@@ -86,7 +87,7 @@ class AuditedErrors:
     def at_rows(self) -> list[int]:
         """For each row of R a column in which it alone is 1."""
         columns = list(zip(*self.R[0], strict=True))
-        units = [tuple(Fraction(int(j == k)) for j in range(len(self.R[0]))) for k in range(len(self.R[0]))]
+        units = [tuple(row) for row in identity(len(self.R[0]), 1)]
         if any(unit not in columns for unit in units):
             raise AuditFault("the rows of the sampled loop are not in their echelon form")
         return [columns.index(unit) for unit in units]
@@ -100,38 +101,33 @@ class AuditedErrors:
     def mean(self) -> Ball:
         """The mean of all different A_i, for the nominal loop."""
         different = [A for _, A in unlike(self.plant.A)]
-        return scaled(reduce(Ball.__add__, different), Fraction(1, len(different)))
+        return reduce(Ball.__add__, different).times(Fraction(1, len(different)))
 
     @cached_property
     def flows(self) -> list[Ball]:
         """What they obey between ticks, for all cells of x, of each x_hat and of its prediction."""
         d, held, found = self.predicted, zero(self.m, self.order), list[Ball]()
         below, driven = self.N - self.n, self.driven()
-        rest = [zero(self.order - self.held, self.order)] if self.order > self.held else []
+        rest = zero(self.order - self.held, self.order)
         of_each = list(product(self.seen, self.read or [zero(self.n, 0)]))
         if len(self.paces) * len(driven) * len(of_each) ** d > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
         for pace, (e, known) in product(self.paces, driven):
-            late = (known - scaled(e, pace), zero(below, self.order))
+            late = stacked(known - e.times(pace), zero(below, self.order))
             for chosen in product(of_each, repeat=d):
-                Delta, rho = list[Ball](), list[Ball]()
-                for i, (A_j, G) in enumerate(chosen):
-                    pushed = stacked(G, zero(below, len(self.R[0]))) if below else G
-                    own = self.row(self.N, {2 + i: A_j, 2 + d + i: pushed})
-                    Delta.append(own + (stacked(*late) if below else late[0]))
-                    rho += [self.R @ (known + top(own, self.n))] if self.R[0] else []
-                found.append(reduce(stacked, [scaled(e, pace), held, *Delta, *rho, *rest]))
+                pushed = [(A_j, stacked(G, zero(below, len(self.R[0])))) for A_j, G in chosen]
+                own = [self.row(self.N, {2 + i: A_j, 2 + d + i: G}) for i, (A_j, G) in enumerate(pushed)]
+                rho = [self.R @ (known + X.rows(0, self.n)) for X in own]
+                found.append(stacked(e.times(pace), held, *(X + late for X in own), *rho, rest))
         return [F for _, F in unlike(found)]
 
     def driven(self) -> list[tuple[Ball, Ball]]:
         """Return the rows of d, and what the program takes it for."""
         if self.corners:
             cells = [(A_c, c.B, A) for c in self.corners for A_c, A in zip(c.A, self.plant.A, strict=True)]
-            pairs = [
-                (self.row(self.n, {0: A_c, 1: B}), self.row(self.n, {0: A, 1: self.plant.B})) for A_c, B, A in cells
-            ]
-            both = outermost([stacked(*pair) for pair in pairs])
-            return [(top(X, self.n), Ball(X.centre[self.n :], X.radius[self.n :])) for X in both]
+            row, n = partial(self.row, self.n), self.n
+            both = outermost([stacked(row({0: A_c, 1: B}), row({0: A, 1: self.plant.B})) for A_c, B, A in cells])
+            return [(X.rows(0, n), X.rows(n, 2 * n)) for X in both]
         rows = self.known()
         return list(zip(rows, rows, strict=True))
 
@@ -161,59 +157,29 @@ class AuditedErrors:
         d, eye = self.predicted, Ball(identity(self.N, 1))
         corrected = eye + self.M @ self.plant.seen_C
         seen = self.row(self.N, {1 + d: eye} if self.late else {2: corrected})
-        delta = None
-        if self.estimates is not None and self.estimates.p:
-            delta = self.row(self.estimates.p, {len(self.widths) - 1: Ball(identity(self.estimates.p, 1))})
-        e, older = (
-            self.row(self.n, {0: Ball(identity(self.n, 1))}),
-            [self.row(self.N, {1 + i: eye}) for i in range(1, d)],
-        )
-        rho = [zero(self.held - self.kept, self.order)] if self.R[0] else []
-        return [
-            reduce(stacked, [e, nu, self.row(self.N, {2: corrected}), *older, *rho, *rest])
-            for nu, rest in self.put_out(e, seen, delta)
-        ]
+        delta = self.row(self.p, {len(self.widths) - 1: Ball(identity(self.p, 1))})
+        e, first = self.row(self.n, {0: Ball(identity(self.n, 1))}), self.row(self.N, {2: corrected})
+        older, rho = [self.row(self.N, {1 + i: eye}) for i in range(1, d)], zero(self.held - self.kept, self.order)
+        return [stacked(e, nu, first, *older, rho, rest) for nu, rest in self.put_out(e, seen, delta)]
 
-    def put_out(self, e: Ball, seen: Ball, delta: Ball | None) -> list[tuple[Ball, list[Ball]]]:
+    def put_out(self, e: Ball, seen: Ball, delta: Ball) -> list[tuple[Ball, Ball]]:
         """Return nu, and epsilon and delta after it, made of e, of an observer's error and of delta before it."""
-        nu = self.K @ (e + top(seen, self.n))
-        sigma = Ball(*(X[self.n :] for X in seen))
+        nu = self.K @ (e + seen.rows(0, self.n))
+        sigma = seen.rows(self.n, self.N)
         if self.estimates is None:
-            U = Ball([[Fraction(int(k == at)) for at in self.at] for k in range(self.m)])
-            return [(nu - U @ sigma if self.late and self.at else nu, [])]
-        epsilon, found = sigma if delta is None else stacked(sigma, delta), list[tuple[Ball, list[Ball]]]()
+            U = Ball([[Fraction(k == at) for at in self.at] for k in range(self.m)])
+            return [(nu - U @ sigma if self.late and self.at else nu, delta)]
+        epsilon = stacked(sigma, delta)
         nu = nu - self.K @ self.estimates.x_d @ epsilon
-        for more, after in self.estimates.vertices(self.period):
-            found.append((nu + more @ epsilon, [epsilon, *([] if after is None else [after @ epsilon])]))
-        return found
+        vertices = self.estimates.vertices(self.period)
+        return [(nu + more @ epsilon, stacked(epsilon, after @ epsilon)) for more, after in vertices]
 
     def row(self, height: int, blocks: dict[int, Ball]) -> Ball:
         """Return rows on them that are 0 but for some blocks."""
-        return joined([blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)])
+        return sides(*(blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)))
 
     @cached_property
     def substep(self) -> Ball:
         """What the end of a substep makes of them: rho = 0."""
-        kept = [k < self.kept or k >= self.held for k in range(self.order)]
-        return Ball([[Fraction(int(j == k and kept[k])) for k in range(self.order)] for j in range(self.order)])
-
-
-def joined(balls: list[Ball]) -> Ball:
-    """Return matrices side by side, but for those without columns."""
-    return reduce(sides, [ball for ball in balls if ball.centre and ball.centre[0]])
-
-
-def scaled(ball: Ball, share: Fraction) -> Ball:
-    """Return a multiple of a matrix."""
-    X, R = ball
-    return Ball([[share * v for v in row] for row in X], [[abs(share) * v for v in row] for row in R])
-
-
-def top(ball: Ball, count: int) -> Ball:
-    """Return the first rows."""
-    return Ball(*(X[:count] for X in ball))
-
-
-def zero(rows: int, columns: int) -> Ball:
-    """Return 0."""
-    return Ball([[Fraction(0)] * columns for _ in range(rows)])
+        rows = enumerate(identity(self.order, 1))
+        return Ball([[v * (k < self.kept or k >= self.held) for v in row] for k, row in rows])
