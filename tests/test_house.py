@@ -30,7 +30,7 @@ def name(module: Path) -> str:
 
 def test_no_module_is_long_and_half_of_them_are_short() -> None:
     assert {name(m) for m in MODULES if lines(m) > 450} == LONG_MODULES
-    assert median(map(lines, MODULES)) <= 160
+    assert median(map(lines, MODULES)) <= 165
 
 
 def test_no_function_is_long() -> None:

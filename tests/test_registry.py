@@ -26,6 +26,7 @@ PLANTS = {
         "Decay",
         "SampledLoop",
         "SampledBounds",
+        "ProgramRanges",
         "NoSaturation",
         "LimitedRegion",
         "SampledRegion",
