@@ -290,7 +290,7 @@ def test_the_longest_sample_time_is_proved_and_below_one_that_is_unstable(
 ) -> None:
     _, controller = loaded
     sampling, design = Sampling(sample_time=h, delay=delay), (controller.plant, controller.K, controller.L)
-    claim = SampledLoop(gains=sampled_gains(*design, sampling), proof=None, design=design)
+    claim = SampledLoop(gains=sampled_gains(*design, sampling), proof=None, design=(*design, controller.sizes))
     longest = claim.longest
     assert longest is not None
     assert with_forms(controller.plant, sampled_gains(*design, replace(sampling, sample_time=longest))) is not None
@@ -321,3 +321,32 @@ def test_outermost_matrices_and_the_rows_that_they_differ_in() -> None:
     unsure = [BallMatrix(X.centre, BallMatrix.of([["0", "0", "0.1"]]).centre) for X in one]
     assert held_rows(unsure, 3).texts == [["0", "1", "0"], ["0", "0", "1"]]
     assert len(outermost([*unsure, unsure[0]])) == 2
+
+
+IN_UNITS = """
+name: A mass and a bumper
+parameters: {m: 2, d: 8, k: 60, s: SIZE}
+system:
+  states: [z, v]
+  inputs: [F]
+  outputs: [y]
+  A: [[0, 1], [-3/m, -d/m]]
+  B: [[0], [s/m]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: bumper, kind: spring, of: z, start: 0.1*s, slope: k, into: {v: -1/m}}
+reference: {output: "0.15*s*sin(t)"}
+simulation: {duration: 12, sample_time: 0.01, controller: {sample_time: {nominal: 0.01, jitter: 0.0002}}}
+"""
+
+
+def test_other_units_change_neither_the_program_nor_what_is_proved(tmp_path: Path) -> None:
+    found = list[SampledLoop]()
+    for size in ("1", "1e6", "1e-6"):
+        path = tmp_path / "plant.yaml"
+        path.write_text(IN_UNITS.replace("SIZE", size), encoding="utf-8")
+        found.append(the_claim(design(load_spec(path))))
+    one, *others = found
+    for other in others:
+        assert other.gains.substeps == one.gains.substeps == 2
+        assert other.rate == pytest.approx(one.rate, rel=1e-3)

@@ -21,6 +21,7 @@ from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.exact import Packed
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 
 _LAST_DIGIT = 1e-5  # of an entry of a gain, as a share
 _NOT_FOUND = "no forms were found that prove it"
@@ -34,7 +35,7 @@ class SampledLoop(Claim):
         gains: Of the program.
         proof: Forms that prove it; None where it is not proved.
         missing: Why it is not; "" where it is.
-        design: Plant, K and L that gains for other sample times can be made of; None where it is from a file.
+        design: Plant, K, L and sizes that gains for other sample times can be made of; None where it is from a file.
         estimates: How x_d and u_ff of it depend on estimates.
         merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
     """
@@ -42,7 +43,7 @@ class SampledLoop(Claim):
     gains: SampledGains
     proof: ClockedProof | None
     missing: str = ""
-    design: tuple[PWASystem, Array, Array] | None = field(default=None, compare=False, repr=False)
+    design: tuple[PWASystem, Array, Array, Sizes] | None = field(default=None, compare=False, repr=False)
     estimates: OnEstimates | None = field(default=None, compare=False, repr=False)
     merged: bool = False
 
@@ -139,7 +140,7 @@ class SampledLoop(Claim):
     @cached_property
     def longest(self) -> float | None:
         """The longest sample time (s) found at which gains that are made for it are proved; None without one."""
-        return None if self.design is None else longest(*self.design, self.gains, self.estimates)
+        return None if self.design is None else longest(*self.design[:3], self.gains, self.estimates, self.design[3])
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         """Return the rate, none where it is not proved."""
@@ -166,7 +167,7 @@ def on_estimates(controller: ProvedController) -> OnEstimates | None:
 
 def errors_of(controller: ProvedController, gains: SampledGains) -> SampledErrors:
     """Return the errors of the loop of a controller with these gains."""
-    return SampledErrors.of(controller.plant, gains, on_estimates(controller))
+    return SampledErrors.of(controller.plant, gains, on_estimates(controller), controller.sizes)
 
 
 def _beyond(controller: ProvedController, gains: SampledGains) -> str:
@@ -186,9 +187,9 @@ def _proved(controller: ProvedController, tried: Sequence[SampledGains]) -> Samp
     """Return a proof of the first gains that have one, with as many substeps as it needs; else the first, without."""
     if missing := _beyond(controller, tried[0]):
         return SampledLoop(gains=tried[0], proof=None, missing=missing)
-    design = controller.plant, controller.design.K, controller.design.L
+    design = controller.plant, controller.design.K, controller.design.L, controller.sizes
     estimates = on_estimates(controller)
-    found = (with_forms(controller.plant, gains, estimates) for gains in tried)
+    found = (with_forms(controller.plant, gains, estimates, controller.sizes) for gains in tried)
     gains, proof = next((each for each in found if each is not None), (tried[0], None))
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)

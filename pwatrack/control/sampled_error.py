@@ -42,19 +42,21 @@ Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the tr
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, reduce
 from itertools import permutations, product
 
 import numpy as np
 
+from pwatrack.arrays import TINY
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, zero
 from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.vertices import held_rows, outermost, outermost_cells
 from pwatrack.lmi.clocked import Clocked
 from pwatrack.model.pwa import Matrices, PWASystem
+from pwatrack.model.sizes import Sizes
 from pwatrack.rational import identity, pivots
 from pwatrack.real import Real
 
@@ -74,6 +76,7 @@ class SampledErrors:
             at most.
         estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
         corners: Matrices of plants that may run in place of it, they and their means; none where it runs itself.
+        sizes: Of the signals of the plant, in which forms are looked for; None where those of no file are known.
     """
 
     plant: PWASystem
@@ -85,15 +88,23 @@ class SampledErrors:
     deviations: Sequence[tuple[BallMatrix, float]] = ()
     estimates: OnEstimates | None = None
     corners: Sequence[Matrices] = ()
+    sizes: Sizes | None = None
 
     @classmethod
-    def of(cls, plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None) -> "SampledErrors":
+    def of(
+        cls,
+        plant: PWASystem,
+        gains: SampledGains,
+        estimates: OnEstimates | None = None,
+        sizes: Sizes | None = None,
+    ) -> "SampledErrors":
         """Find cells and changes that the others are means of."""
         cells = outermost_cells(plant)
         seen = cells if plant.watched is None else outermost_cells(plant.watched)
         changes, own = (outermost([one - other for one, other in permutations(each, 2)]) for each in (seen, cells))
         R = held_rows(changes if plant.watched is None else [*changes, *own], plant.B.shape[0])
-        return cls(plant=plant, gains=gains, cells=cells, seen=seen, changes=changes, R=R, estimates=estimates)
+        found = cls(plant=plant, gains=gains, cells=cells, seen=seen, changes=changes, R=R)
+        return replace(found, estimates=estimates, sizes=sizes)
 
     @property
     def predicted(self) -> int:
@@ -158,7 +169,18 @@ class SampledErrors:
             parts=self.parts,
             between=ends if self.parts > 1 else None,
             blocks=(n + m, *others[: self.predicted], *[1] * held, *[rest] * bool(rest)),
+            sizes=self._sizes(self.sizes) if self.sizes is not None else (),
         )
+
+    def _sizes(self, of: Sizes) -> tuple[float, ...]:
+        """Return the sizes of z: what moves, in a row of R, as much as all states; of an estimate what moves one."""
+        Delta, rho = np.concatenate([of.state, of.load]), np.abs(self.R.floats) @ of.state
+        z = [of.state, of.input, *[Delta] * self.predicted, *[rho] * self.predicted]
+        if self.estimates is not None:
+            shares = np.abs(self.estimates.x_d.floats) / of.state[:, None]
+            epsilon = 1 / np.maximum(shares.max(axis=0), TINY)
+            z += [epsilon, epsilon[len(epsilon) - self.estimates.eta :]]
+        return tuple(np.concatenate(z).tolist())
 
     def _flows(self, pace: Fraction) -> list[BallMatrix]:
         """Return what they obey between ticks that are a share of h apart."""

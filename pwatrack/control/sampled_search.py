@@ -14,6 +14,7 @@ from pwatrack.lmi.clocked import ClockedProof, clocked_proof, fastest
 from pwatrack.lmi.exact import rounded_down
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.sizes import Sizes
 
 _TRIED = ((1, 1), (2, 1), (2, 2), (4, 2))  # times as many substeps, and segments of each: what is tried
 _OF_ONE = ((1, 1), (1, 2), (1, 4))  # the same of a prediction without substeps
@@ -42,10 +43,10 @@ def too_much(plant: PWASystem, gains: SampledGains, estimates: OnEstimates | Non
 
 
 def with_forms(
-    plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None
+    plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None, sizes: Sizes | None = None
 ) -> tuple[SampledGains, ClockedProof] | None:
     """Return gains with as many substeps as a proof needs, and that proof; None where none is found."""
-    errors = SampledErrors.of(plant, gains, estimates)
+    errors = SampledErrors.of(plant, gains, estimates, sizes)
     for finer, knots in _tried(errors, _most(errors)):
         proof = fastest(finer.clocked, knots=knots)
         if proof is not None:
@@ -69,13 +70,19 @@ def with_corners(errors: SampledErrors, knots: int) -> tuple[ClockedProof | None
 
 
 def longest(
-    plant: PWASystem, K: Array, L: Array, near: SampledGains, estimates: OnEstimates | None = None
+    plant: PWASystem,
+    K: Array,
+    L: Array,
+    near: SampledGains,
+    estimates: OnEstimates | None = None,
+    sizes: Sizes | None = None,
 ) -> float | None:
     """Return the longest sample time (s) that is found, to 5 %, for which gains made of K and L for it are proved.
 
     Args:
         near: Gains whose sample time is looked at first; their delay and jitter are those of the others.
         estimates: How x_d and u_ff depend on estimates.
+        sizes: Of signals, in which forms are looked for.
     """
 
     def at(h: float) -> tuple[float, None] | None:
@@ -85,7 +92,7 @@ def longest(
         gains = sampled_gains(plant, K, L, Sampling(sample_time=h, delay=near.delay, jitter=near.jitter))
         if too_much(plant, gains, estimates):
             return None
-        for errors, knots in _tried(SampledErrors.of(plant, gains, estimates), _MOST_OF_MANY)[-1:]:
+        for errors, knots in _tried(SampledErrors.of(plant, gains, estimates, sizes), _MOST_OF_MANY)[-1:]:
             if clocked_proof(errors.clocked, knots=knots) is not None:
                 return h, None
         return None

@@ -44,6 +44,7 @@ class Clocked:
     between: BallMatrix | None = None
     # sizes of parts of z that hardly act on each other in a circle, one after the other; () if not known
     blocks: tuple[int, ...] = ()
+    sizes: tuple[float, ...] = ()  # of z, in which a search counts it; () if not known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,4 +158,5 @@ def looked_for(system: Clocked, knots: int) -> ClockedForms:
     """Return the program that looks for forms in floating point."""
     F, J = (np.array([X.floats for X in matrices]) for matrices in (system.F, system.J))
     R = np.eye(F.shape[1]) if system.between is None else system.between.floats
-    return ClockedForms(F=F, J=J, R=R, parts=system.parts, knots=knots, period=float(system.period))
+    sizes, period = np.array(system.sizes or [1.0] * len(R)), float(system.period)
+    return ClockedForms(F=F, J=J, R=R, parts=system.parts, knots=knots, period=period, sizes=sizes)

@@ -56,13 +56,14 @@ class ClockedForms:
     parts: int  # as in `clocked`, as the next two
     knots: int
     period: float
+    sizes: Array  # of z, (n,)
     near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
     asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def part(self, where: slice) -> "ClockedForms":
         """Return the program for some entries of z, as if there were no others."""
         F, J = (np.unique(X[:, where, where], axis=0) for X in (self.F, self.J))
-        return ClockedForms(F=F, J=J, R=self.R[where, where], parts=self.parts, knots=self.knots, period=self.period)
+        return replace(self, F=F, J=J, R=self.R[where, where], sizes=self.sizes[where], near=None, asked={})
 
     @cached_property
     def over(self) -> Array:
@@ -86,7 +87,7 @@ class ClockedForms:
         if self.near is not None:
             return np.asarray(np.linalg.cholesky(self.near)).T
         over = self.J.mean(axis=0) @ self.over
-        d = balancing(np.abs(over).max(axis=0)[None])
+        d = self.sizes * balancing((np.abs(over) / self.sizes[:, None] * self.sizes).max(axis=0)[None])
         form = solve_discrete_lyapunov((over[-1] / d[:, None] * d).T, np.eye(len(d)))
         return np.asarray(np.asarray(np.linalg.cholesky((form + form.T) / 2)).T / d)
 
