@@ -67,7 +67,7 @@ class TicksSection(Section):
     """A sample time (s), and by how much the time between two ticks may differ from it, either way."""
 
     nominal: Positive
-    jitter: Positive
+    jitter: NotNegative
 
     def rules(self, context: Context) -> Iterator[Fault]:
         """Yield where a tick could come before the one before."""
