@@ -17,6 +17,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.simulation.bounded import bounded_response
 from pwatrack.simulation.desired import realised
 from pwatrack.spec.expression import formula
+from tests.test_cli import call
 
 PLANT = """
 name: two carts
@@ -172,6 +173,8 @@ def test_a_periodic_solution_that_rounding_leaves_within_the_run_ends_with_6(
         assert (np.abs(result.response.x_d).max() > 2 * largest) == (code != ExitCode.DONE)
         assert not result.controller.trajectory.bounded
     assert "x_d leaves its periodic solution by rounding: what differs from it is multiplied by" in result.outcome.text
+    said = " ".join(call("simulate", path, "--out", tmp_path / "out").stdout.split())
+    assert "NOT proved that x_d is bounded and what was asked for: it is not" in said
 
 
 def test_a_periodic_solution_is_proved_bounded_where_the_plant_converges(tmp_path: Path) -> None:

@@ -72,6 +72,7 @@ def run(
         try:
             spec, controller = made.design(solver, stored, growing=simulated, scaled=scaled)
             result, many = made.simulate(spec, controller, members) if simulated else (None, None)
+            controller = controller if result is None else result.controller  # which knows whether x_d stays bounded
             fronts = made.fronts(spec, controller) if paretos and not simulated else ()
             found = Findings(spec=spec, controller=controller, result=result, many=many, largest=made.largest)
             first = list(first_rows(found))
