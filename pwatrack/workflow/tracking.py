@@ -292,8 +292,9 @@ def starts_of(
     eta = np.zeros(0) if generator is None else generator
     x_d = trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
     n, loads, disturbance = len(x_d), plant.loads, spec.scenario.conditions.disturbance
-    acting = np.zeros(len(sizes.load))
+    acting, loaded = np.zeros(len(sizes.load)), False
     if loads is not None and disturbance is not None and loads.are(disturbance):
+        loaded = True
         acting[list(loads.where)] = -loads.truth(disturbance.Q, disturbance.rates) @ disturbance.w0
     for varied in ({}, regions) if regions else ({},):
         x = _columns(varied.get("plant"), plant_at)
@@ -306,7 +307,7 @@ def starts_of(
         e[:, 0] -= x_d
         load, delta = np.zeros((len(sizes.load), e.shape[1])), np.hstack([x_hat - x, own])
         load[:, 0] = acting
-        if not varied and not delta.any() and not load.any():
+        if not (varied or loaded or delta.any()):
             yield Starts(kind="run", e=e)
             continue
         kind: Literal["ensemble", "run"] = "ensemble" if varied else "run"
