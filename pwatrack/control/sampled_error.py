@@ -49,7 +49,6 @@ from itertools import permutations, product
 
 import numpy as np
 
-from pwatrack.arrays import TINY
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, zero
 from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_gains import SampledGains
@@ -177,8 +176,9 @@ class SampledErrors:
         Delta, rho = np.concatenate([of.state, of.load]), np.abs(self.R.floats) @ of.state
         z = [of.state, of.input, *[Delta] * self.predicted, *[rho] * self.predicted]
         if self.estimates is not None:
-            shares = np.abs(self.estimates.x_d.floats) / of.state[:, None]
-            epsilon = 1 / np.maximum(shares.max(axis=0), TINY)
+            shares = (np.abs(self.estimates.x_d.floats) / of.state[:, None]).max(axis=0)
+            own = np.concatenate([of.load, np.ones(self.estimates.eta)])
+            epsilon = 1 / np.where(shares > 0, shares, 1 / own)
             z += [epsilon, epsilon[len(epsilon) - self.estimates.eta :]]
         return tuple(np.concatenate(z).tolist())
 

@@ -11,7 +11,7 @@ J ↦ Jᵀ P_0 J is convex, so the ends and the vertices speak for all.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -25,7 +25,7 @@ from pwatrack.rational import Rational, beside, identity, is_positive_definite, 
 _TRIED = (1.0, 0.99, 0.9, 0.5)  # shares of the rate that is looked for, until one is proved
 _BITS = (40, 80)  # of the entries of P_k
 _LOOKS = 5  # at a rate, at most, once one is proved
-_SHARES = (0.9, 0.5)  # of what parts by themselves reach: what is asked of the whole
+_SHARES = (0.9, 0.75, 0.5)  # of what parts by themselves reach: what is asked of the whole
 _MANY = 16  # vertices, from which on each look takes seconds
 _OF_MANY = (0.5,)  # what is asked then
 
@@ -97,9 +97,9 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
     for share in shares or (_OF_MANY if len(system.F) > _MANY else _SHARES):
         if best.rate >= share * most:
             break
-        found = program.at(share * most)
-        if found is not None and found.rate > best.rate:
-            best = found
+        for one in (*program.around(share * most), replace(program, near=best.P[0])):
+            found = one.at(share * most)
+            best = found if found is not None and found.rate > best.rate else best
     return proved_forms(system, best.P, best.rate)
 
 

@@ -6,6 +6,7 @@ not satisfy are added, until all are satisfied.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -28,6 +29,7 @@ _ROUNDS = 12  # in which vertices are added
 _HELD = 0.02  # of the margin that was found: what every other vertex is to keep
 _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not lose, if it does not grow
 _AGAIN = 2  # times that forms are looked for in coordinates of those that were found, before a larger rate is
+_AROUND = (1.0, 0.9)  # of a rate: what coordinates are of, in which forms for it are looked for too
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
 _GAP = 1e-2  # share of the margin that may be missed
@@ -84,12 +86,23 @@ class ClockedForms:
     @cached_property
     def coordinates(self) -> Array:
         """L, for which L z is of size 1 in the form of the mean, or in one that is known."""
-        if self.near is not None:
-            return np.asarray(np.linalg.cholesky(self.near)).T
+        return np.asarray(np.linalg.cholesky(self._mean(0.0) if self.near is None else self.near)).T
+
+    def _mean(self, rate: float) -> Array:
+        """Return a form with which the mean of the vertices falls at a rate that each of them has by itself."""
         over = self.J.mean(axis=0) @ self.over
         d = self.sizes * balancing((np.abs(over) / self.sizes[:, None] * self.sizes).max(axis=0)[None])
-        form = solve_discrete_lyapunov((over[-1] / d[:, None] * d).T, np.eye(len(d)))
-        return np.asarray(np.asarray(np.linalg.cholesky((form + form.T) / 2)).T / d)
+        turn = over[-1] / d[:, None] * d * np.exp(rate * self.period)
+        return np.asarray(symmetric_part(solve_discrete_lyapunov(turn.T, np.eye(len(d)))) / d[:, None] / d)
+
+    def around(self, rate: float) -> Iterator["ClockedForms"]:
+        """Yield the program as it is, and in coordinates that do for the mean at about this rate."""
+        yield self
+        own = -float(np.log(np.abs(np.linalg.eigvals(self.J.mean(axis=0) @ self.over[-1])).max())) / self.period
+        for share in _AROUND:
+            if share * rate < own:
+                with suppress(np.linalg.LinAlgError):
+                    yield replace(self, near=self._mean(share * rate))
 
     @property
     def count(self) -> int:
@@ -183,8 +196,9 @@ class ClockedForms:
 
         def at(rate: float) -> tuple[float, Forms] | None:
             nonlocal program
-            found = program.at(rate)
-            if found is None or not found.rate > 0:
+            each = (one.at(rate) for one in program.around(rate))
+            found = next((forms for forms in each if forms is not None and forms.rate >= rate), None)
+            if found is None:
                 return None
             program = replace(program, near=found.P[0])
             return found.rate, found
