@@ -96,3 +96,16 @@ def test_they_are_said(machine: tuple[Spec, ProvedController, Path]) -> None:
     _, _, folder = machine
     said = " ".join(call("design", folder.parent / "plant.yaml", "--out", folder, "--verbose").stdout.split())
     assert "numbers in the program, from x = x̂ = x_d on, in this run: y as measured −" in said.replace("-", "−")
+
+
+def test_a_limit_of_the_rate_is_a_limit_too(tmp_path: Path) -> None:
+    """An input that may hardly change leaves all bounds: they say what they are of, and how long it was so."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(f"{FRICTION.rstrip()}\n  rate_limit: {{u: 0.1}}\n", encoding="utf-8")
+    said = " ".join(call("design", path, "--out", tmp_path / "out", "--verbose").stdout.split())
+    held = "while no input changes as fast as it may"
+    assert said.count(held) >= 2
+    short = " ".join(call("simulate", path, "--out", tmp_path / "out").stdout.split())
+    assert "the rate of u is at a limit" in short
+    first = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
+    assert f"proved {held}" in first

@@ -106,6 +106,7 @@ class KeptLimits(Claim):
         left, signals = self.left, self.signals
         lasts = signals.room.ever and not any(kind == "disturbance" for kind, _ in signals.acting)  # else more may act
         kept = f"these limits are kept {'for good' if lasts else 'in this run'}"
+        kept += " along the reference of the file" * (words.conditions.pace is not None)
         acting = f"{self._acting}{',' * bool(signals.acting)}"
         for promise in self.promises if left is not None else ():
             assert left is not None

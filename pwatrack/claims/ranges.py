@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, up
-from pwatrack.claims.sampled_bounds import SampledBounds, off_limits
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.sampled_disturbances import across
 from pwatrack.control.words import Words, down
 
+_ROUNDED = 1e-11  # of a number: what a program that steps them for long rounds
 _SAID = ("y", "u", "x_hat")  # what a summary has; run.json has all
 
 
@@ -30,11 +31,11 @@ class ProgramRanges(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["ProgramRanges"]:
-        """Yield them where all that acts has a bound, and the program estimates no load."""
+        """Yield them where all that acts has a bound, no load is estimated, and no input waits at first."""
         quanta = asked.words.conditions.quanta
         steps = np.zeros(controller.plant.B.shape[1]) if quanta is None else quanta.inputs / 2
         for bounds in controller.claims_of(SampledBounds) if controller.plant.loads is None else ():
-            if bounds.from_zero:
+            if bounds.from_zero and not bounds.errors.gains.delay:
                 yield cls(bounds=bounds, steps=steps)
 
     @classmethod
@@ -55,10 +56,9 @@ class ProgramRanges(Claim):
         of_x_hat = bounds.off(np.concatenate(across(errors, np.eye(n)))).reshape(-1, n).max(axis=0)
         off = {"y": bounds.off(of_y) + bounds.noise, "x_hat": of_x_hat}
         off["u"] = bounds.off(np.eye(m, errors.order, n)) + self.steps
-        return {
-            name: ends + np.multiply.outer(off[name] * OVER_SUMS, [-1, 1]) if name in off else ends
-            for name, ends in bounds.acts.along.items()
-        }
+        rounded = {name: _ROUNDED * np.abs(ends).max(axis=1) for name, ends in bounds.acts.along.items()}
+        each = {name: off.get(name, 0.0) * OVER_SUMS + least for name, least in rounded.items()}
+        return {name: ends + np.multiply.outer(each[name], [-1, 1]) for name, ends in bounds.acts.along.items()}
 
     def named(self, words: Words, controller: ProvedController) -> Iterator[tuple[str, str, str, Array]]:
         """Yield of each number what it belongs to, its name, its unit and its ends, what is said first before."""
@@ -89,6 +89,5 @@ class ProgramRanges(Claim):
                 shown = f"{name}_hat" if kind == "x_hat" else f"{name} as measured" if kind == "y" else name
                 ends = f"{down(low)} to {up(high)} {unit}".rstrip()
                 said.append(f"{shown} {ends}")
-        late = ", as the first input acts," * (self.bounds.errors.gains.delay > 0)
-        of = f"in the program, from x = x̂ = x_d{late} on, in this run{words.as_designed}{off_limits(controller)}"
+        of = f"in the program, from x = x̂ = x_d on, in this run{words.as_designed}{words.off_limits}"
         yield "numbers", f"{of}: {'; '.join(said)}"

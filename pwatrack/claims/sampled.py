@@ -154,7 +154,7 @@ class SampledLoop(Claim):
             at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"
         else:
-            said = f"proved while no input is at a limit{words.as_designed}"
+            said = f"proved{words.off_limits[1:] or ' while no input is at a limit'}{words.as_designed}"
             yield "as sampled", f"{said}: time constant {up(1 / self.rate)} s"
         yield "K, M", in_a_line(words, self.gains.K, "M", self.gains.M, "K and M are in run.json, under sampled")
 

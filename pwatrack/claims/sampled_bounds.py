@@ -22,7 +22,6 @@ from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
-from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.control.bounds import Channel, Form
@@ -295,7 +294,7 @@ class SampledBounds(TubeBounds):
         named = self._named(words, controller)
         acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
-        off = words.as_designed + off_limits(controller)
+        off = words.as_designed + words.off_limits
         if self.idle:
             said = "nothing acts on the sampled loop: its errors go to 0, but for rounding"
             yield "in this run", said + off
@@ -314,11 +313,6 @@ def _around(most: Array, at: IntArray) -> Array:
     """Return the largest of some substeps and of those beside them: of a sample on a tick rounding says which it is."""
     last = len(most) - 1
     return np.asarray(np.max([most[np.clip(at + k, 0, last)] for k in (-1, 0, 1)], axis=0))
-
-
-def off_limits(controller: ProvedController) -> str:
-    """Say that it is of the loop without limits, where inputs have some."""
-    return ", while no input is at a limit" * bool(controller.claims_of(NoSaturation))
 
 
 def shown(sizes: Mapping[Form, float]) -> Iterator[tuple[Form, float]]:

@@ -11,7 +11,7 @@ from pwatrack.claims.exact_text import decimal, double, packed, whole
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledLoop, errors_of
-from pwatrack.claims.sampled_bounds import TubeBounds, off_limits, shown
+from pwatrack.claims.sampled_bounds import TubeBounds, shown
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
@@ -127,7 +127,7 @@ class SampledBoxBounds(TubeBounds):
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield what is left of the errors in this run, whichever plant of the box runs."""
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
-        said, off = "for every plant of the box, also where it changes in the run", off_limits(controller)
+        said, off = "for every plant of the box, also where it changes in the run", words.off_limits
         if self.idle:
             said = f"{said}, nothing acts on the sampled loop: its errors go to 0, but for rounding{off}"
         elif ends:

@@ -78,6 +78,13 @@ class Words:
         """What is added to what is proved of a run with the plant of the design, where another one runs."""
         return ", with the plant as designed" * self.conditions.another_plant
 
+    @property
+    def off_limits(self) -> str:
+        """What is added to what is proved of a loop without limits, where inputs, or their rates, have some."""
+        limited, slowed = self.conditions.limits is not None, self.conditions.rates is not None
+        held = ["is at a limit"] * limited + ["changes as fast as it may"] * slowed
+        return f", while no input {' or '.join(held)}" if held else ""
+
     def limits(self, sizes: Iterable[tuple[Form, float]]) -> Iterator[str]:
         """Yield the bounds of signals in words, rounded up."""
         for form, size in sizes:

@@ -20,7 +20,7 @@ from pwatrack.errors import ExitCode
 from pwatrack.real import Box
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.figures import ERRORS, Figures
-from pwatrack.simulation.layout import Actuator
+from pwatrack.simulation.layout import Actuator, RateLimit
 from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.steady_state import SteadyState
 from pwatrack.simulation.trace import Trace, TraceOnDisk, Unresolved, tenths
@@ -370,13 +370,16 @@ class SimulatedLoop:
 
     @property
     def at_limits(self) -> dict[str, float]:
-        """The share of the time that each input with limits was at one of them, by name."""
+        """The share of the time that each input with limits, of its rate too, was at one of them, by name."""
         shares, found = self.figures.time_share, dict[str, float]()
         for part in self.loop.flow.parts:
             if isinstance(part, Actuator):
                 held = {cell for cell, level in zip(part.cells, part.levels, strict=True) if level is not None}
                 time = shares.get(part.name, {}).items()
                 found[self.loop.plant.inputs[part.input]] = sum(share for cell, share in time if cell in held)
+            if isinstance(part, RateLimit):
+                free = shares.get(part.name, {}).get("free", 0.0)
+                found[f"the rate of {self.loop.plant.inputs[part.input]}"] = 1.0 - free
         return found
 
     @property
