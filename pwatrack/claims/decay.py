@@ -83,7 +83,6 @@ class Decay(Claim):
         yield from _guarantee_rows(controller, practical=bool(practical))
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield the time constant that is proved, and the gains."""
         if not controller.claims_of(Practical):
             played = [up(played.error) for played in controller.claims_of(StableInversion)]
             ends = f"below {played[0]} {words.unit_of_tracked()}".rstrip() if played else "to 0"

@@ -11,9 +11,10 @@ from pwatrack.ball_matrix import BallMatrix, text
 from pwatrack.control.bounds import Bounds, Channel, Form, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.audit.shape import kind
+from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.dichotomy import Dichotomy
 from pwatrack.lmi.ellipsoid import InvariantEllipsoid
-from pwatrack.lmi.exact import Proof
+from pwatrack.lmi.exact import Packed, Proof
 from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.peak_gain import PeakGain
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
@@ -52,15 +53,30 @@ def radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
     return None if all(X.radius is None for X in matrices) else [X.radius_texts for X in matrices]
 
 
-def packed(integers: Sequence[Sequence[int]], exponents: Sequence[int]) -> dict[str, Any]:
+def packed(X: Packed) -> dict[str, Any]:
     """Return a symmetric matrix as integers_jk 2^(exponents_j + exponents_k)."""
-    return {"integers": [list(row) for row in integers], "exponents": list(exponents)}
+    return {"integers": [list(row) for row in X.integers], "exponents": list(X.exponents)}
 
 
 def whole(found: Any) -> dict[str, Any]:
     """Return integers and exponents of what `packed` gave, as the classes of proofs take them."""
     integers = tuple(tuple(int(number(v)) for v in row) for row in found["integers"])
     return {"integers": integers, "exponents": tuple(found["exponents"])}
+
+
+def packed_forms(found: Any) -> tuple[Packed, ...]:
+    """Return the matrices that `packed` gave."""
+    return tuple(Packed(**whole(one)) for one in found)
+
+
+def clocked_content(proof: ClockedProof) -> dict[str, Any]:
+    """Return the forms that prove a loop that is sampled."""
+    return {"rate": decimal(proof.rate), "P": [packed(P) for P in proof.P]}
+
+
+def read_clocked(told: Any) -> ClockedProof:
+    """Return what was written by `clocked_content`."""
+    return ClockedProof(P=packed_forms(told["P"]), rate=double(told["rate"]))
 
 
 def signals(sizes: Iterable[tuple[Form, float]]) -> list[list[Any]]:
@@ -81,7 +97,7 @@ def bounds_content(bounds: Bounds) -> dict[str, Any]:
             "loop": part.loop,
             "channel": list(part.channel),
             "a": decimal(part.ellipsoid.a),
-            "Q": packed(part.ellipsoid.integers, part.ellipsoid.exponents),
+            "Q": packed(part.ellipsoid),
             "signals": signals(zip(part.signals, part.ellipsoid.sizes, strict=True)),
         }
         for part in bounds.parts
@@ -91,7 +107,7 @@ def bounds_content(bounds: Bounds) -> dict[str, Any]:
             "part": part,
             "unit": gain.unit,
             "steps": [list(run) for run in gain.steps],
-            "P": packed(gain.integers, gain.exponents),
+            "P": packed(gain),
             "size": decimal(gain.size),
         }
         for part, gain in bounds.proved.items()
@@ -133,9 +149,10 @@ def read_channel(channel: Any) -> Channel:
 
 def proof_content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
     """Return the proof of an inequality."""
-    P = packed(proof.integers, proof.exponents)
+    P = packed(proof)
     if isinstance(proof, PolynomialProof):
-        N, told = [packed(N, proof.N_exponents) for N in proof.N], {"degree": proof.degree, "rate": decimal(proof.rate)}
+        N = [packed(Packed(integers=N_i, exponents=proof.N_exponents)) for N_i in proof.N]
+        told = {"degree": proof.degree, "rate": decimal(proof.rate)}
         return {"of": proof.role.name, **told, "T": decimal_texts(proof.T), "P": P, "N": N}
     if isinstance(proof, Dichotomy):
         return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}

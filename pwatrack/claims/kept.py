@@ -47,12 +47,10 @@ class KeptLimits(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
-        """Yield the same from what was proved before."""
         if (signals := asked.signals) is not None:
             yield _found(controller, signals, content)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the ellipsoids, beside those of inputs."""
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
 
     @property
@@ -63,7 +61,6 @@ class KeptLimits(Claim):
         return left if left is not None and (left > 0).all() else None
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return by signal what the reference and what acts take, and by which scale starts may be off."""
         signals, left = self.signals, self.left
         peak = signals.room.peak
         each = {
@@ -79,7 +76,6 @@ class KeptLimits(Claim):
         return {"kept_limits": {"signals": each, "starts": said, "missing": self.missing}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what the reference and what acts leave of each limit, and from which starts all are kept."""
         texts = [*self._takes(words), *self._kept(words, controller)]
         yield from ((label, text) for label, text in zip(["kept", *[""] * len(texts)], texts, strict=False))
 

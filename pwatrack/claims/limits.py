@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.ball_matrix import BallMatrix, above, zero
 from pwatrack.claims.exact_text import (
     CLOSE,
     decimal,
@@ -118,7 +118,7 @@ class StartGuarantee:
     def data(self) -> dict[str, Any]:
         """What a certificate holds of it, where it is of an ellipsoid."""
         assert isinstance(self.held, StartEllipsoid)
-        return self.about | {"Q": packed(self.held.integers, self.held.exponents)}
+        return self.about | {"Q": packed(self.held)}
 
     @property
     def about(self) -> dict[str, Any]:
@@ -159,30 +159,18 @@ class NoSaturation(Claim):
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
         """Yield what is known of limits where there are some; of starts only where nothing else acts."""
-        room = asked.room
-        if room is None:
-            return
-        alone = controller.running is controller.plant  # else what is merged acts too
-        proved = promises(controller, room.left, room.starts) if alone and room.left is not None else ()
-        yield cls(room=room, promises=proved)
+        if (room := asked.room) is not None:
+            yield _found(controller, room, room.starts)
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
-        """Yield the same from what was proved before."""
-        room = asked.room
-        if room is None:
-            return
-        if room.left is None or controller.running is not controller.plant:
-            yield cls(room=room)
-            return
-        yield cls(room=room, promises=promises(controller, room.left, *known_before(content, room.starts, "input")))
+        if (room := asked.room) is not None:
+            yield _found(controller, room, *known_before(content, room.starts, "input"))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the ellipsoids."""
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return by input what the feedforward takes and leaves, and by which scale starts may be off."""
         room, left, names = self.room, self.room.left, words.plant.inputs
         inputs = {
             names[k]: {
@@ -197,7 +185,6 @@ class NoSaturation(Claim):
         return {"limits": {"inputs": inputs, "ever": room.ever, "starts": said}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what the limits leave beside the feedforward, and from which starts none is reached."""
         texts = [*self._takes(words), *self._reaches(words, loads=controller.plant.loads is not None)]
         yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
 
@@ -241,6 +228,17 @@ class NoSaturation(Claim):
     def from_this_start(self) -> bool:
         """Whether it is proved that no limit is reached from the start of the run."""
         return any(promise.of_this_run(self.room.left) for promise in self.promises)
+
+
+def _found(
+    controller: ProvedController,
+    room: Headroom,
+    starts: Sequence[Starts],
+    known: Mapping[str, StartEllipsoid] | None = None,
+) -> NoSaturation:
+    alone = controller.running is controller.plant  # else what is merged acts too
+    proved = promises(controller, room.left, starts, known) if alone and room.left is not None else ()
+    return NoSaturation(room=room, promises=proved)
 
 
 def ideal(controller: ProvedController) -> str:
@@ -299,7 +297,7 @@ def loops_of(controller: ProvedController) -> Loops:
     """Return the loops of a controller where estimates of loads do not move x_d."""
     plant, (K, L) = controller.plant, controller.design.exact
     n, p = len(plant.B), L.shape[0] - len(plant.B)
-    return Loops(plant, K, L, controller.proofs, BallMatrix.of(np.zeros((n, p)), (n, p)), output=False)
+    return Loops(plant, K, L, controller.proofs, zero(n, p), output=False)
 
 
 def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, number_text, up
-from pwatrack.ball_matrix import BallMatrix, above, text
+from pwatrack.ball_matrix import BallMatrix, above, text, zero
 from pwatrack.claims.exact_text import (
     bounds_content,
     function_content,
@@ -164,7 +164,6 @@ class Practical(Claim):
             yield "", f"the observer runs the merged cells too: {limits} in the end"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield below what each tracked signal ends, and that no gain has it go to 0."""
         tracked = controller.tracking
         ends = words.limits((form, size) for form, size in self.final.items() if form[0] == tracked)
         constant, widths = up(1 / controller.guarantees.rate), ", ".join(_width_text(words, m) for m in self.merges)
@@ -240,9 +239,8 @@ class _Loops(Loops):
         """Return g, (N, 1)."""
         if channel[0] != "deviation":
             return super().drive(loop, channel)
-        e, nothing = self.columns[channel[1]], BallMatrix.of(np.zeros((self.N, 1)))
-        rest = BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1))
-        delta = nothing - above(e, rest) if self.seen else nothing
+        e, nothing = self.columns[channel[1]], zero(self.N, 1)
+        delta = nothing - above(e, zero(self.N - self.n, 1)) if self.seen else nothing
         return of_loop(loop, e, delta)
 
     def ended(self, k: int, signals: Sequence[Form]) -> Bounds | None:

@@ -1,6 +1,6 @@
 """How large the numbers get that the program of a sampled loop works with, in this run: what needs room for them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -38,15 +38,6 @@ class ProgramRanges(Claim):
             if bounds.from_zero and not bounds.errors.gains.delay:
                 yield cls(bounds=bounds, steps=steps)
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["ProgramRanges"]:
-        """Yield the same: they follow from the bounds."""
-        yield from cls.prove(controller, asked)
-
-    def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return nothing: they follow from the bounds."""
-        return {}
-
     @cached_property
     def ranges(self) -> dict[str, Array]:
         """The least and the largest of y as measured, u as put out, x̂, x_d, u_ff, η̂ and w, (k, 2) each."""
@@ -72,7 +63,6 @@ class ProgramRanges(Claim):
                 yield kind, f"w{k + 1}" if kind == "w" else str(name), unit, each
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return all of them, and how many bits before the point a fixed-point number needs for it, its sign aside."""
         found = dict[str, dict[str, Any]]()
         for kind, name, unit, (low, high) in self.named(words, controller):
             size = max(abs(low), abs(high))
@@ -82,7 +72,6 @@ class ProgramRanges(Claim):
         return {"numbers": found}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield those of what is measured, put out and estimated."""
         said = list[str]()
         for kind, name, unit, (low, high) in self.named(words, controller):
             if kind in _SAID:

@@ -5,14 +5,14 @@ the input as it is limited, so Δ is untouched. From every start it is enough th
 with H = 0: by (9) Δ goes to 0 exponentially, and e is driven by it linearly.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.ball_matrix import above, zero
 from pwatrack.claims.exact_text import decimal_texts, doubles, packed, proof_content, read_proof, whole
 from pwatrack.claims.limits import (
     NoSaturation,
@@ -37,18 +37,50 @@ _NOT_FOUND = "no ellipsoid was found that proves it"
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimitedRegion(Claim):
-    """Starts from which errors go to 0 with limits active.
+class RegionClaim(Claim):
+    """Starts from which errors settle with limits active.
 
     Attributes:
-        room: What the feedforward leaves.
-        found: What is proved of some starts, each by a `Region` or a `PolynomialRegion`.
+        room: What the feedforward, and what else is known to act, leaves of the limits.
+        found: What is proved of some starts, each by a region.
         missing: Why it is of none; "" where it is of some.
     """
 
-    room: Headroom
+    room: Headroom = field(repr=False)
     found: tuple[StartGuarantee, ...] = ()
     missing: str = ""
+
+    @property
+    def left(self) -> Array | None:
+        """How far each input may be from its feedforward, (m,)."""
+        return self.room.spare
+
+    def from_this_start(self, controller: ProvedController) -> bool:
+        """Whether it is proved of the start of the run, with the loads that act in it."""
+        loads, room, left = controller.plant.loads, self.room, self.left
+        run = next((starts for starts in room.starts if starts.kind == "run"), None)
+        bears = exact = loads is None or (run is not None and run.delta is None)
+        if loads is not None and left is not None and run is not None and run.load is not None:
+            at, acting = np.array(loads.inputs(controller.plant.exact.B) or ()), -run.load.sum(axis=1)
+            each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
+            bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
+        every = (one for one in self.found if one.starts.kind == "every")
+        whole = any(exact or one.starts.delta is not None for one in every)
+        return (bears and whole) or any(one.of_this_run(left) for one in self.found)
+
+    def starts_said(self, left: Array, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
+        """Say of which starts a guarantee is, where each input may be so far from its feedforward, (m,)."""
+        if one.starts.kind == "every":
+            return f"every start{_with_loads(self.room, words, controller, one)}"
+        return one.said(left, loads=controller.plant.loads is not None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitedRegion(RegionClaim):
+    """Starts from which errors go to 0 with limits active.
+
+    Each that is found is proved by a `Region` or a `PolynomialRegion`.
+    """
 
     statement: ClassVar[str] = (
         "Under regions: likewise, D the rows by which u - u_ff is read off z = x - x_d or (x - x_d, x_hat - x, s_hat - "
@@ -71,7 +103,6 @@ class LimitedRegion(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
-        """Yield the same from what was proved before."""
         room, entries = asked.room, {entry["of"]: entry for entry in content["regions"]}
         if room is None:
             return
@@ -82,34 +113,26 @@ class LimitedRegion(Claim):
                 found.append(_of(loops_of(controller), one, room, _read(entry)))
         yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
-    @property
-    def left(self) -> Array | None:
-        """How far each input may be from its feedforward, (m,)."""
-        return self.room.spare
-
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return ellipsoids and rows H, and the gain of least cost where another one took its place."""
         cheaper = controller.design.cheaper
         return {"regions": [one.about | _content(one.held) for one in self.found]} | (
             {} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)}
         )
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return by which scale starts may be off."""
-        left, names = self.room.spare, words.plant.inputs
+        left, names, cheaper = self.left, words.plant.inputs, controller.design.cheaper
         said = [] if left is None else [one.figures(left, names) for one in self.found]
-        smaller = None if controller.design.cheaper is None else _smaller(controller, controller.design.cheaper)
+        smaller = None if cheaper is None else _smaller(controller, cheaper)
         return {"limits_active": {"starts": said, "missing": self.missing, "K_smaller_by": smaller}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield from which starts errors go to 0."""
-        left, label = self.room.spare, "limits active"
+        left, label = self.left, "limits active"
         if left is None or not self.found:
             yield label, f"not proved: {self.missing}"
             return
         goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
         for one in self.found:
-            starts = starts_said(self.room, left, words, controller, one) + self.room.whatever_said(one.starts)
+            starts = self.starts_said(left, words, controller, one) + self.room.whatever_said(one.starts)
             yield label, f"in the loop as designed {goes} from {starts}, with inputs at their limits too"
             label = ""
         cheaper = controller.design.cheaper
@@ -122,33 +145,6 @@ class LimitedRegion(Claim):
         if self.from_this_start(controller) and not any(c.from_this_start for c in controller.claims_of(NoSaturation)):
             goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
             yield "ideal loop", f"{goes} from this start with inputs at their limits too{words.as_designed}"
-
-    def from_this_start(self, controller: ProvedController) -> bool:
-        """Whether it is proved of the start of the run."""
-        return from_this_start(self.room, self.left, controller, self.found)
-
-
-def from_this_start(
-    room: Headroom, left: Array | None, controller: ProvedController, found: Iterable[StartGuarantee]
-) -> bool:
-    """Say whether some guarantee is of the start of the run, with the loads that act in it."""
-    loads = controller.plant.loads
-    run = next((starts for starts in room.starts if starts.kind == "run"), None)
-    bears = exact = loads is None or (run is not None and run.delta is None)
-    if loads is not None and left is not None and run is not None and run.load is not None:
-        at, acting = np.array(loads.inputs(controller.plant.exact.B) or ()), -run.load.sum(axis=1)
-        each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
-        bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
-    every = (one for one in found if one.starts.kind == "every")
-    whole = any(exact or one.starts.delta is not None for one in every)
-    return (bears and whole) or any(one.of_this_run(left) for one in found)
-
-
-def starts_said(room: Headroom, left: Array, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
-    """Say of which starts a guarantee is, where each input may be so far from its feedforward, (m,)."""
-    if one.starts.kind == "every":
-        return f"every start{_with_loads(room, words, controller, one)}"
-    return one.said(left, loads=controller.plant.loads is not None)
 
 
 def _with_loads(room: Headroom, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
@@ -172,12 +168,17 @@ def _smaller(controller: ProvedController, cheaper: Array) -> float:
     return next(norms) / next(norms)
 
 
-def _beyond(controller: ProvedController, room: Headroom) -> str:
-    """Return why nothing is tried; "" where it is."""
+def nothing_left(room: Headroom) -> str:
+    """Return why the feedforward is not known to leave anything; "" where it is."""
     if room.peak is None:
         return "x_d takes too long to follow, so what its feedforward takes is not known"
-    if room.spare is None:
-        return "the feedforward takes more than the limits, from where the generator starts"
+    return "the feedforward takes more than the limits, from where the generator starts" * (room.spare is None)
+
+
+def _beyond(controller: ProvedController, room: Headroom) -> str:
+    """Return why nothing is tried; "" where it is."""
+    if not_left := nothing_left(room):
+        return not_left
     if controller.running is not controller.plant:
         return "cells are merged, and what is merged acts too"
     if controller.trajectory.preview is not None:
@@ -205,9 +206,7 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
 
 
 def _content(held: Any) -> dict[str, Any]:
-    form = (
-        {"V": proof_content(held.proof)} if isinstance(held, PolynomialRegion) else {"Q": packed(*held.parts.values())}
-    )
+    form = {"V": proof_content(held.proof)} if isinstance(held, PolynomialRegion) else {"Q": packed(held)}
     return form | {"H": decimal_texts(held.H)}
 
 
@@ -253,5 +252,5 @@ def _saturated(loops: Loops, loop: Loop, inputs: tuple[int, ...]) -> SaturatedLo
     """Return a loop with the inputs that have limits."""
     B = loops.B.part(range(loops.n), inputs)
     if loop == "joint":
-        B = above(B, BallMatrix.of(np.zeros((loops.N, len(inputs)))))
+        B = above(B, zero(loops.N, len(inputs)))
     return SaturatedLoop(M=loops.M[loop], B=B, D=drive_rows(loops, loop, inputs), inners=loops.inners[loop])

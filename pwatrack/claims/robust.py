@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, number_text, up
-from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
+from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
 from pwatrack.claims.bounds import from_start, with_acting
 from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
@@ -88,7 +88,7 @@ class Robust(Claim):
         return {"uncertain": {"parameters": box, "inequalities": self.count, "rate": self.rate}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        box, order = ", ".join(interval.text for interval in self.box), 2 * len(self.plant.B)
+        box, order = self.parameters, 2 * len(self.plant.B)
         yield (
             "uncertain",
             f"for every plant with {box}, also where they change with time: {self.count} inequalities of order {order} "
@@ -106,9 +106,7 @@ class Robust(Claim):
             yield "", f"{', '.join(words.limits(bounds.sizes.items()))} per {unit or '1'} of {on}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield for which plants it is proved, and how fast."""
-        box = ", ".join(interval.text for interval in self.box)
-        yield "ideal loop", f"to a bound for all plants with {box}: time constant {up(1 / self.rate)} s"
+        yield "ideal loop", f"to a bound for all plants with {self.parameters}: time constant {up(1 / self.rate)} s"
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
         if seen.w is None or seen.designed:
@@ -116,6 +114,11 @@ class Robust(Claim):
         most = from_start(self.bounds, (), seen.start, seen.t, states=len(self.plant.B))
         acting: dict[Channel, Array] = {bounds.channel: seen.w[:, bounds.channel[1]] for bounds in self.bounds}
         return with_acting(most, self.bounds, acting)
+
+    @property
+    def parameters(self) -> str:
+        """The intervals of the box in words."""
+        return ", ".join(interval.text for interval in self.box)
 
     @property
     def rate(self) -> float:
@@ -169,7 +172,7 @@ def prove_box(
     if found is None or found.rate <= 0:
         raise _undecided(len(M), order, worst)
     n = len(plant.B)
-    loops = Loops(plant, K, L, proofs, BallMatrix.of(np.zeros((n, 0)), (n, 0)), output=output)
+    loops = Loops(plant, K, L, proofs, zero(n, 0), output=output)
     loops.M["joint"], loops.inners["joint"] = M, [Inner.proved(found.P, found.rate)]
     bounds = []
     for k in varying_rows(plant.exact, corners):

@@ -9,7 +9,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, amount, number_text, up
 from pwatrack.claims.decay import in_a_line
-from pwatrack.claims.exact_text import decimal, decimal_texts, double, doubles, packed, whole
+from pwatrack.claims.exact_text import clocked_content, decimal, decimal_texts, double, doubles, read_clocked
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.estimated_loads import OnEstimates, refused
@@ -19,7 +19,6 @@ from pwatrack.control.sampled_optimal import candidates
 from pwatrack.control.sampled_search import longest, too_much, with_forms
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.exact import Packed
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 
@@ -28,21 +27,35 @@ _NOT_FOUND = "no forms were found that prove it"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampledLoop(Claim):
-    """The sampled loop, proved or not.
+class SampledClaim(Claim):
+    """What is proved of a loop that is sampled, or why nothing is.
 
     Attributes:
         gains: Of the program.
         proof: Forms that prove it; None where it is not proved.
         missing: Why it is not; "" where it is.
-        design: Plant, K, L and sizes that gains for other sample times can be made of; None where it is from a file.
-        estimates: How x_d and u_ff of it depend on estimates.
-        merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
     """
 
     gains: SampledGains
     proof: ClockedProof | None
     missing: str = ""
+
+    @property
+    def rate(self) -> float:
+        """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
+        return np.nan if self.proof is None else self.gains.passing(self.proof.rate)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledLoop(SampledClaim):
+    """The sampled loop, proved or not.
+
+    Attributes:
+        design: Plant, K, L and sizes that gains for other sample times can be made of; None where it is from a file.
+        estimates: How x_d and u_ff of it depend on estimates.
+        merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
+    """
+
     design: tuple[PWASystem, Array, Array, Sizes] | None = field(default=None, compare=False, repr=False)
     estimates: OnEstimates | None = field(default=None, compare=False, repr=False)
     merged: bool = False
@@ -69,16 +82,13 @@ class SampledLoop(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
-        """Yield what was proved, or that nothing was."""
         told = content["sampled"]
         if told is not None:
             gains = _read_gains(told)
             tried = () if asked.sampled is None else _candidates(controller, asked, asked.sampled)
             if asked.sampled is not None and not any(_same(gains, each) for each in tried):
                 raise ValueError("the gains of the sampled loop are not those of its certificate")
-            P = tuple(Packed(**whole(one)) for one in told["P"])
-            proof = ClockedProof(P=P, rate=double(told["rate"]))
-            yield cls(gains=gains, proof=proof, merged=bool(controller.claims_of(Practical)))
+            yield cls(gains=gains, proof=read_clocked(told), merged=bool(controller.claims_of(Practical)))
         elif asked.sampled is not None:
             gains = next(_candidates(controller, asked, asked.sampled))
             yield cls(gains=gains, proof=None, missing=_beyond(controller, gains) or _NOT_FOUND)
@@ -89,7 +99,6 @@ class SampledLoop(Claim):
         return self.gains
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return gains and forms."""
         if self.proof is None:
             return {}
         gains, errors = self.gains, errors_of(controller, self.gains)
@@ -102,13 +111,11 @@ class SampledLoop(Claim):
                 "substeps": gains.substeps,
                 "delay": gains.delay,
                 "jitter": decimal(gains.jitter),
-                "rate": decimal(self.proof.rate),
-                "P": [packed(P.integers, P.exponents) for P in self.proof.P],
+                **clocked_content(self.proof),
             }
         }
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is proved of it, and what it runs with."""
         yield "sampled loop", self.sentence
         yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}"
 
@@ -132,24 +139,17 @@ class SampledLoop(Claim):
             "noise, steps and rounding"
         )
 
-    @property
-    def rate(self) -> float:
-        """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
-        return np.nan if self.proof is None else self.gains.passing(self.proof.rate)
-
     @cached_property
     def longest(self) -> float | None:
         """The longest sample time (s) found at which gains that are made for it are proved; None without one."""
         return None if self.design is None else longest(*self.design[:3], self.gains, self.estimates, self.design[3])
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return the rate, none where it is not proved."""
         gains, rate = self.gains, None if self.proof is None else self.rate
         found = {"sample_time": gains.sample_time, "substeps": gains.substeps, "rate": rate}
         return {"sampled": found | {"K": gains.K.tolist(), "M": gains.M.tolist()}}
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield whether the sampling is in a proof, and how fast it is."""
         if self.proof is None:
             at = "" if self.longest is None else f", it is every {number_text(self.longest)} s"
             yield "NOT proved", f"for sampling every {number_text(self.gains.sample_time)} s{at} ({self.missing})"

@@ -21,7 +21,7 @@ import numpy as np
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import in_ellipsoid
-from pwatrack.claims.exact_text import decimal, double, packed, read_channel, read_signals, signals, whole
+from pwatrack.claims.exact_text import decimal, double, packed, packed_forms, read_channel, read_signals, signals
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.control.bounds import Channel, Form
@@ -32,7 +32,7 @@ from pwatrack.control.sampled_search import work
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube, TubeProgram, tube
-from pwatrack.lmi.exact import Packed, rounded_down
+from pwatrack.lmi.exact import rounded_down
 from pwatrack.rational import floats
 
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
@@ -78,10 +78,8 @@ class TubeBounds(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Self]:
-        """Yield what was proved."""
-        told = content[cls.KEY]
         tubes = dict[Channel, tuple[Tube, ...]]()
-        for entry in told:
+        for entry in content[cls.KEY]:
             channel = read_channel(entry["channel"])
             tubes[channel] = (*tubes.get(channel, ()), _read_tube(entry))
         for _, errors, acts in cls.known(controller, asked):
@@ -90,14 +88,13 @@ class TubeBounds(Claim):
             yield cls(errors=errors, acts=acts, tubes=tubes, forms=tuple(seen(controller)))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the tubes."""
         entries = [
             {
                 "channel": list(channel),
                 "a": decimal(one.a),
                 "b": decimal(one.b),
                 "summed": int(one.summed),
-                "Q": [packed(Q.integers, Q.exponents) for Q in one.Q],
+                "Q": [packed(Q) for Q in one.Q],
                 "signals": signals(zip(self.forms, one.sizes, strict=True)),
             }
             for channel, each in self.tubes.items()
@@ -216,7 +213,6 @@ class TubeBounds(Claim):
         return [np.concatenate([e, nu, delta, rho, rest]) for nu, rest in each]
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return what acts, what 1 of it leaves of each signal, and what all of it does."""
         ends = self.ends_below(controller)
         acts = dict(zip(self.acts.squares, self._named(words, controller), strict=True))
         return {
@@ -279,7 +275,6 @@ class SampledBounds(TubeBounds):
 
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
-        """Yield the proof of the sampled loop, its errors and what acts on them, where these are known."""
         for loop in controller.claims_of(SampledLoop):
             if loop.proof is not None and asked.acting is not None:
                 merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
@@ -290,7 +285,6 @@ class SampledBounds(TubeBounds):
                     yield loop.proof, errors, acts
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what acts, and what it leaves."""
         named = self._named(words, controller)
         acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
@@ -396,7 +390,7 @@ def _above(size: float) -> float:
 
 def _read_tube(entry: Any) -> Tube:
     return Tube(
-        Q=tuple(Packed(**whole(Q)) for Q in entry["Q"]),
+        Q=packed_forms(entry["Q"]),
         a=double(entry["a"]),
         b=double(entry["b"]),
         sizes=tuple(size for _, size in read_signals(entry["signals"])),

@@ -4,39 +4,25 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import numpy as np
-
 from pwatrack.arrays import up
-from pwatrack.claims.exact_text import decimal, double, packed, whole
+from pwatrack.claims.exact_text import clocked_content, read_clocked
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
-from pwatrack.claims.sampled import SampledLoop, errors_of
+from pwatrack.claims.sampled import SampledClaim, SampledLoop, errors_of
 from pwatrack.claims.sampled_bounds import TubeBounds, shown
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, ProvedController, Row
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.sampled_search import with_corners
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.exact import Packed
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampledBox(Claim):
-    """The sampled loop for the plants of a box, proved or not.
+class SampledBox(SampledClaim):
+    """The sampled loop for the plants of a box, proved or not."""
 
-    Attributes:
-        of: What is proved of them in continuous time; it has the box.
-        gains: Of the program.
-        proof: Forms that prove it; None where it is not proved.
-        missing: Why it is not; "" where it is.
-    """
-
-    of: Robust
-    gains: SampledGains
-    proof: ClockedProof | None
-    missing: str
+    of: Robust  # what is proved of them in continuous time; it has the box
 
     statement: ClassVar[str] = (
         "Under sampled_uncertain: z as under sampled, for every plant as under uncertain: e' has A_i(p) and B(p) in "
@@ -54,28 +40,20 @@ class SampledBox(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledBox"]:
-        """Yield what was proved, or that nothing was."""
         told = content["sampled_uncertain"]
         for loop, of, _ in _both(controller):
-            P = () if told is None else tuple(Packed(**whole(one)) for one in told["P"])
-            proof = None if told is None else ClockedProof(P=P, rate=double(told["rate"]))
+            proof = None if told is None else read_clocked(told)
             missing = "no proof is in the certificate" * (proof is None)
             yield cls(of=of, gains=loop.gains, proof=proof, missing=missing)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return the forms."""
-        if self.proof is None:
-            return {}
-        P = [packed(P.integers, P.exponents) for P in self.proof.P]
-        return {"sampled_uncertain": {"rate": decimal(self.proof.rate), "P": P}}
+        return {} if self.proof is None else {"sampled_uncertain": clocked_content(self.proof)}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return the rate, none where it is not proved."""
         return {"sampled_uncertain": {"rate": None if self.proof is None else self.rate}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield how fast errors go to their bound, for which plants."""
-        box = self.box
+        box = self.of.parameters
         if self.proof is None:
             yield "box, sampled", f"not proved for every plant with {box}: {self.missing}"
         else:
@@ -86,19 +64,9 @@ class SampledBox(Claim):
             )
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield for which plants it is proved, and how fast."""
         if self.proof is not None:
-            yield "as sampled", f"to a bound for all plants with {self.box}: time constant {up(1 / self.rate)} s"
-
-    @property
-    def box(self) -> str:
-        """The parameters in words."""
-        return ", ".join(interval.text for interval in self.of.box)
-
-    @property
-    def rate(self) -> float:
-        """In 1/s, of time as it passes where ticks are as far apart as they may be; not a number without proof."""
-        return np.nan if self.proof is None else self.gains.passing(self.proof.rate)
+            box = self.of.parameters
+            yield "as sampled", f"to a bound for all plants with {box}: time constant {up(1 / self.rate)} s"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,16 +84,15 @@ class SampledBoxBounds(TubeBounds):
 
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
-        """Yield the proof of the sampled loop for the box, its errors and what acts on them, where these are known."""
         proofs = [box.proof for box in controller.claims_of(SampledBox) if box.proof is not None]
-        for proof in proofs if not controller.claims_of(Practical) else ():
-            for _, _, errors in _both(controller) if asked.acting is not None else ():
-                acts = None if asked.acting is None else asked.acting(controller, errors)
-                if acts is not None:
+        if asked.acting is None or controller.claims_of(Practical):
+            return
+        for proof in proofs:
+            for _, _, errors in _both(controller):
+                if (acts := asked.acting(controller, errors)) is not None:
                     yield proof, errors, acts
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what is left of the errors in this run, whichever plant of the box runs."""
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
         said, off = "for every plant of the box, also where it changes in the run", words.off_limits
         if self.idle:

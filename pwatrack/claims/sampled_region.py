@@ -15,20 +15,19 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import decimal_texts, double, doubles, packed, read_signals, whole
-from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, taken_off
-from pwatrack.claims.region import every, from_this_start, starts_said
+from pwatrack.claims.exact_text import decimal_texts, doubles, packed, packed_forms
+from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, read_sizes, taken_off
+from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Form, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_region import ClockedRegion, SaturatedTicks
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.saturated import SaturatedLoop
 from pwatrack.rational import floats
 
@@ -39,24 +38,19 @@ _SHARES = ((0.25, 0.1), (0.5, 1.0))  # of its rate: what V falls with at a limit
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampledRegion(Claim):
+class SampledRegion(RegionClaim):
     """Starts from which the errors of the sampled loop settle with limits active.
 
     Attributes:
-        room: What the feedforward and all that acts leave of the limits.
-        changes: What both leave of what inputs may change by in a sample, (m,); None where these have no such limits.
+        changes: What is left, likewise, of what inputs may change by in a sample, (m,); None where these have no such
+            limits.
         idle: Whether nothing acts.
         late: Whether inputs are: then starts are as the first input of the program acts, not as the run begins.
-        found: What is proved of some starts, each by a `ClockedRegion`.
-        missing: Why it is of none; "" where it is of some.
     """
 
-    room: Headroom = field(repr=False)
     changes: Array | None = field(repr=False)
     idle: bool
     late: bool = False
-    found: tuple[StartGuarantee, ...] = ()
-    missing: str = ""
 
     statement: ClassVar[str] = (
         "Under sampled_regions: z as under sampled, before a tick, with nu = 0 and rho = 0 at the starts, D the rows "
@@ -79,7 +73,6 @@ class SampledRegion(Claim):
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
-        """Yield the same from what was proved before."""
         entries = {entry["of"]: entry for entry in content["sampled_regions"]}
         for search in _Search.of(controller, asked):
             told = {kind: entry | {"starts": search.behind(entry)} for kind, entry in entries.items()}
@@ -88,30 +81,27 @@ class SampledRegion(Claim):
             yield search.told(tuple(found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return Q at all knots, and rows H."""
         return {
             "sampled_regions": [
-                one.about | {"P": [packed(P.integers, P.exponents) for P in one.held.P], "H": decimal_texts(one.held.H)}
+                one.about | {"P": [packed(P) for P in one.held.P], "H": decimal_texts(one.held.H)}
                 for one in self.found
                 if isinstance(one.held, ClockedRegion)
             ]
         }
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return by which scale starts may be off."""
         left, inputs = self.left, words.plant.inputs
         names = [*inputs, *(f"change of {name}" for name in inputs)]
         said = [] if left is None else [one.figures(left, names) for one in self.found]
         return {"sampled_limits_active": {"starts": said, "missing": self.missing}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield from which starts errors settle."""
         left, label = self.left, "limits, sampled"
         if left is None or not self.found:
             yield label, f"not proved: {self.missing}"
             return
         for one in self.found:
-            starts = starts_said(self.room, left, words, controller, one)
+            starts = self.starts_said(left, words, controller, one)
             starts += ", as the first input acts" * (self.late and one.starts.kind != "every")
             yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
             label = ""
@@ -137,10 +127,6 @@ class SampledRegion(Claim):
         if self.idle and self.room.ever:
             return "errors go to 0"
         return "errors shrink throughout this run" + " to what all that acts leaves" * (not self.idle)
-
-    def from_this_start(self, controller: ProvedController) -> bool:
-        """Whether it is proved of the start of the run."""
-        return from_this_start(self.room, self.left, controller, self.found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -344,34 +330,18 @@ def _beside(errors: SampledErrors, inputs: Sequence[int]) -> Array:
 
 def _beyond(controller: ProvedController, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
-    if room.peak is None:
-        return "x_d takes too long to follow, so what its feedforward takes is not known"
-    if room.spare is None:
-        return "the feedforward takes more than the limits, from where the generator starts"
-    if on_estimates(controller) is not None:
-        return "x_d depends on estimates of loads"
-    return ""
+    return nothing_left(room) or "x_d depends on estimates of loads" * (on_estimates(controller) is not None)
 
 
 def _more(starts: Starts, off: Array, loads: int) -> Starts:
     """Return starts with x̂ − x by so much more, whatever its sign, of a plant with so many states of loads."""
     if not off.size:
         return starts
-    e, more = starts.e, np.zeros_like(off)
-    delta = np.zeros_like(e) if starts.delta is None else starts.delta
+    e, wider = starts.e, ((0, 0), (0, off.shape[1]))
+    delta = np.hstack([np.zeros_like(e) if starts.delta is None else starts.delta, off])
     load = np.zeros((loads, e.shape[1])) if starts.load is None else starts.load
-    return replace(
-        starts,
-        e=np.hstack([e, more]),
-        delta=np.hstack([delta, off]),
-        load=np.hstack([load, np.zeros((loads, off.shape[1]))]) if loads else None,
-    )
+    return replace(starts, e=np.pad(e, wider), delta=delta, load=np.pad(load, wider) if loads else None)
 
 
 def _read(entry: Any) -> ClockedRegion:
-    return ClockedRegion(
-        P=tuple(Packed(**whole(P)) for P in entry["P"]),
-        H=np.asarray(doubles(entry["H"])),
-        weights=tuple(map(double, entry["weights"])),
-        sizes=tuple(size for _, size in read_signals(entry["signals"])),
-    )
+    return ClockedRegion(P=packed_forms(entry["P"]), H=np.asarray(doubles(entry["H"])), **read_sizes(entry))

@@ -40,11 +40,6 @@ class SetPoints(Claim):
         if asked.set_points is not None:
             yield cls(demand=asked.set_points, room=asked.room)
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SetPoints"]:
-        """Yield the same: it was read for what it leaves."""
-        yield from cls.prove(controller, asked)
-
     def data(self, controller: ProvedController) -> dict[str, Any]:
         """Return what proves it."""
         return {} if self.demand.missing else {"set_points": self.demand.proof}
@@ -55,12 +50,10 @@ class SetPoints(Claim):
         return [] if self.demand.missing else np.column_stack([self.demand.low, self.demand.high]).tolist()
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        """Return by input what set-points take, and what that leaves of its limits."""
         left = self._left
-        names = words.plant.inputs
         inputs = {
             name: {"takes": ends, "left": None if left is None or not np.isfinite(left[k]) else float(left[k])}
-            for k, (name, ends) in enumerate(zip(names, self.takes, strict=False))
+            for k, (name, ends) in enumerate(zip(words.plant.inputs, self.takes, strict=False))
         }
         return {"set_points": {"inputs": inputs, "missing": self.demand.missing}}
 
@@ -70,7 +63,6 @@ class SetPoints(Claim):
         return self.room.spare if self.room is not None and self.room.whatever else None
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        """Yield what any y_d within its limits takes of each input, and leaves."""
         label, limits = "set-points", None if self.room is None else self.room.limits
         if self.demand.missing:
             of = "; what is said of limits is of the reference in the file" * (limits is not None)

@@ -1,6 +1,6 @@
 """What is left by an x_d that was worked out beforehand, for zero dynamics with unstable modes: (17±)."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -42,13 +42,6 @@ class StableInversion(Claim):
         bounds: SignalBounds | Robust = next(iter(controller.claims_of(Robust)), controller.claim(SignalBounds))
         error = controller.guarantees.left(_of_eta(form), preview)
         yield cls(preview=preview, form=form, error=error, bounds=bounds)
-
-    @classmethod
-    def read(
-        cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked
-    ) -> Iterator["StableInversion"]:
-        """Yield the same: it follows from x_d and the other proofs."""
-        yield from cls.prove(controller, asked)
 
     @cached_property
     def by_signal(self) -> dict[Form, float]:

@@ -38,7 +38,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from pwatrack.arrays import OVER_SUMS, Array, symmetric_part
-from pwatrack.ball_matrix import BallMatrix, above, beside
+from pwatrack.ball_matrix import BallMatrix, above, beside, zero
 from pwatrack.control.compensation import coupling
 from pwatrack.lmi.ellipsoid import Inner, InvariantEllipsoid, ellipsoid, from_start
 from pwatrack.lmi.exact import Proof
@@ -160,9 +160,8 @@ class Loops:
             "observer": [_inner(proof, invert=True) for proof in quadratic if proof.role is OBSERVER],
         }
         if self.few_pairs:
-            nothing = BallMatrix.of(np.zeros((N, n)))
             self.M["joint"] = [
-                above(beside(Z, drive), beside(nothing, Y)) for Z in self.M["controller"] for Y in self.M["observer"]
+                above(beside(Z, drive), beside(zero(N, n), Y)) for Z in self.M["controller"] for Y in self.M["observer"]
             ]
             self.inners["joint"] = _blocks(self.M, self.inners, drive.floats)
 
@@ -237,7 +236,7 @@ class Loops:
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
         """Return g, (N, 1); of a start G, with a column for each entry that is 1 together with others."""
         kind, k = channel
-        nothing = BallMatrix.of(np.zeros((self.N, 1)))
+        nothing = zero(self.N, 1)
         if kind == "start":
             entries = next(group for group in self.starts if k == group[0])
             both = BallMatrix(identity(self.n + self.N)).part(range(self.n + self.N), entries)
@@ -255,7 +254,7 @@ class Loops:
     def row(self, loop: Loop, signal: Form) -> BallMatrix:
         """Return c, (1, N)."""
         kind, k = signal
-        e, delta = (BallMatrix.of(np.zeros((order, 1))) for order in (self.n, self.N))
+        e, delta = zero(self.n, 1), zero(self.N, 1)
         if kind == "coupling":
             delta = _column(self.coupling.transpose(), k)
         elif kind == "estimate":
@@ -264,7 +263,7 @@ class Loops:
             of = {"output": self.c, "measured": self.C, "input": self.K, "drive": self.K}
             e = _column(of.get(kind, BallMatrix(identity(self.n))).transpose(), k)
         if kind in ("input", "drive"):
-            loads = BallMatrix.of(np.zeros((self.N - self.n, 1)), (self.N - self.n, 1))
+            loads = zero(self.N - self.n, 1)
             if kind == "drive":  # less what estimates of loads at this input take off it
                 loads = BallMatrix.of([[-int(j == k)] for j in self.at_inputs], (self.N - self.n, 1))
             delta = above(e, loads)

@@ -13,13 +13,7 @@ from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
 from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.presolve import Coordinates, extreme
-from pwatrack.lmi.program import (
-    Solution,
-    largest_margin,
-    least_cost,
-    smaller_gain,
-    smallest_gain,
-)
+from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_gain, smallest_gain
 from pwatrack.lmi.saturated import LimitedFound, LimitedGain
 from pwatrack.lmi.solve import solve
 

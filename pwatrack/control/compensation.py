@@ -21,7 +21,7 @@ import flint
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import BallMatrix, above, beside, different, each
+from pwatrack.ball_matrix import BallMatrix, above, beside, different, each, zero
 from pwatrack.control.realisable import pseudo_inverse
 from pwatrack.errors import OutsideTheory, ProblemPart
 from pwatrack.model.loads import Loads
@@ -49,7 +49,7 @@ def compensation(
     """
     (n, m), cells, loads = plant.B.shape, len(plant.A), plant.loads
     p = 0 if loads is None else loads.E.shape[1]
-    nothing = BallMatrix.of(np.zeros((n, p)), (n, p))
+    nothing = zero(n, p)
     if loads is None or form is None:
         needed = np.zeros((m, p)) if loads is None else -pseudo_inverse(plant.B) @ loads.E.floats
         guards = np.zeros((len(plant.partition.h if form is None else form.boundary.h), p))
@@ -111,7 +111,7 @@ def check_played_back(form: NormalForm) -> None:
 def loads_in_derivatives(loads: Loads, form: NormalForm) -> BallMatrix:
     """Return G: what the loads add to ξ, g_0 … g_{r−1} of each output, and to η, nothing, (n, p)."""
     n, p = loads.E.shape
-    nothing, T, G = BallMatrix.of(np.zeros((1, p)), (1, p)), form.exact.T[0], list[BallMatrix]()
+    nothing, T, G = zero(1, p), form.exact.T[0], list[BallMatrix]()
     for r in form.degrees:
         G.append(nothing)
         for _ in range(r - 1):
@@ -166,5 +166,4 @@ def coupling(plant: PWASystem, K: BallMatrix, L: BallMatrix, X: BallMatrix) -> B
     if loads is None:
         return BK
     gain = L.part(range(n, L.shape[0]), range(L.shape[1]))
-    nothing = BallMatrix.of(np.zeros(loads.E.shape), loads.E.shape)
-    return beside(BK - X @ gain @ plant.exact.C, nothing - loads.E)
+    return beside(BK - X @ gain @ plant.exact.C, zero(*loads.E.shape) - loads.E)

@@ -85,17 +85,17 @@ class Claim(ABC):
         """
 
     @classmethod
-    @abstractmethod
     def read(cls, content: Mapping[str, Any], controller: "ProvedController", asked: Asked) -> "Iterator[Claim]":
-        """Yield what a certificate holds of it, without a solver.
+        """Yield what a certificate holds of it, without a solver; the same where it follows from other claims.
 
         Raises:
             ValueError: If that does not fit to the controller.
         """
+        yield from cls.prove(controller, asked)
 
-    @abstractmethod
     def data(self, controller: "ProvedController") -> dict[str, Any]:
         """Return its part of a certificate, by key: exact numbers as text. Lists of several claims are joined."""
+        return {}
 
     def rows(self, words: Words, controller: "ProvedController") -> Iterator[Row]:
         """Yield what a summary says of it."""

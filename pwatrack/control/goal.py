@@ -10,14 +10,18 @@ from pwatrack.arrays import Array
 from pwatrack.errors import InvalidSpec, Problem
 
 
-def _positive(**numbers: object) -> None:
-    problems = [
-        Problem(message=f"{name} is a positive number, not {value!r}")
-        for name, value in numbers.items()
-        if not isinstance(value, Real) or isinstance(value, bool) or not 0 < float(value) < np.inf
-    ]
-    if problems:
-        raise InvalidSpec(*problems)
+class _Checked:
+    """A goal with a rate or a bound, which are positive numbers; a rate may be 0, a bound infinite."""
+
+    def __post_init__(self) -> None:
+        rate, bound = getattr(self, "rate", 0.0), getattr(self, "bound", np.inf)
+        problems = [
+            Problem(message=f"{name} is a positive number, not {value!r}")
+            for name, value in (("rate", rate or 1.0), ("gain", 1.0 if bound == np.inf else bound))
+            if not isinstance(value, Real) or isinstance(value, bool) or not 0 < float(value) < np.inf
+        ]
+        if problems:
+            raise InvalidSpec(*problems)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,7 +32,7 @@ class Given:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AtLeast:
+class AtLeast(_Checked):
     """The LQR, or Kalman, gain with unit weights in sizes, of the plant with the rate added to A.
 
     Raises InvalidSpec if a number is not a positive one (a rate may be 0, a bound infinite).
@@ -42,29 +46,20 @@ class AtLeast:
     # starts as can be, with inputs at their limits
     within: Literal["limits", "region"] | None = None
 
-    def __post_init__(self) -> None:
-        _positive(rate=self.rate or 1.0, gain=1.0 if self.bound == np.inf else self.bound)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Smallest:
+class Smallest(_Checked):
     """The smallest gain that is found for a rate."""
 
     rate: float = 0.0  # in 1/s; 0 where any will do
 
-    def __post_init__(self) -> None:
-        _positive(rate=self.rate or 1.0)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Fastest:
+class Fastest(_Checked):
     """The largest rate that is found."""
 
     bound: float = np.inf  # on the norm of the gain in sizes, see `Task.norm`
     within: Literal["limits"] | None = None  # "limits" where no limit of an input is to be reached
-
-    def __post_init__(self) -> None:
-        _positive(gain=1.0 if self.bound == np.inf else self.bound)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -91,11 +91,7 @@ class SampledErrors:
 
     @classmethod
     def of(
-        cls,
-        plant: PWASystem,
-        gains: SampledGains,
-        estimates: OnEstimates | None = None,
-        sizes: Sizes | None = None,
+        cls, plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None, sizes: Sizes | None = None
     ) -> "SampledErrors":
         """Find cells and changes that the others are means of."""
         cells = outermost_cells(plant)

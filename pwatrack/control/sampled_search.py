@@ -38,7 +38,7 @@ def too_much(plant: PWASystem, gains: SampledGains, estimates: OnEstimates | Non
         return "what x_d is made of turns too far in a sample"
     errors = SampledErrors.of(plant, gains, estimates)
     if work(errors) > _most(errors):
-        return f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
+        return _much(errors)
     return ""
 
 
@@ -59,10 +59,7 @@ def with_corners(errors: SampledErrors, knots: int) -> tuple[ClockedProof | None
     missing = ""
     for finer in (knots, 2 * knots, 4 * knots):
         if work(errors) * finer > _MOST_WORK:
-            missing = (
-                missing or f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
-            )
-            break
+            return None, missing or _much(errors)
         if (proof := fastest(errors.clocked, knots=finer, shares=_SHARES_OF_BOX)) is not None:
             return proof, ""
         missing = "no forms were found that prove it"
@@ -138,6 +135,10 @@ def _inequalities(errors: SampledErrors) -> int:
     moves = 1 if errors.estimates is None else len(errors.estimates.moves)
     cells = len(errors.driven) if errors.corners else len(errors.cells) * moves
     return int(2 * errors.parts * len(errors.paces) * cells * of_each**errors.predicted)
+
+
+def _much(errors: SampledErrors) -> str:
+    return f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
 
 
 def _least_work(plant: PWASystem, gains: SampledGains) -> int:

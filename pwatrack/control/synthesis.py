@@ -11,12 +11,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different, places
 from pwatrack.control import refusal
 from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
-from pwatrack.control.convergence import (
-    best_certificate,
-    pair_certificates,
-    precise_certificate,
-    prove_convergence,
-)
+from pwatrack.control.convergence import best_certificate, pair_certificates, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task, reaches

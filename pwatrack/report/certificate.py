@@ -153,5 +153,5 @@ def _refutation(evidence: Impossibility) -> dict[str, Any]:
     if not isinstance(against, NoDichotomy):
         found = {"Z": Z} if against.between is None else against.between.content
         return {"rate": decimal(evidence.rate)} | found
-    P = {str(i): packed(proof.integers, proof.exponents) for i, proof in against.P.items()}
+    P = {str(i): packed(proof) for i, proof in against.P.items()}
     return {"no_P": "of any sign"} | ({"P": P} if P else {"Z": Z})
