@@ -98,6 +98,7 @@ def test_they_are_said(machine: tuple[Spec, ProvedController, Path]) -> None:
     assert "numbers in the program, from x = x̂ = x_d on, in this run: y as measured −" in said.replace("-", "−")
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_rate_is_a_limit_too(tmp_path: Path) -> None:
     """An input that may hardly change leaves all bounds: they say what they are of, and how long it was so."""
     path = tmp_path / "plant.yaml"

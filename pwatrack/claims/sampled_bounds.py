@@ -129,7 +129,7 @@ class TubeBounds(Claim):
     @cached_property
     def anywhere(self) -> dict[Form, Array]:
         """The same where a prediction may cross planes at any time: to be added to what the start leaves."""
-        return self._total(self._levels(np.ones(len(self.acts.near), dtype=bool)))
+        return self._total(self._everywhere)
 
     @property
     def idle(self) -> bool:
@@ -154,8 +154,12 @@ class TubeBounds(Claim):
 
     def off(self, rows: Array) -> Array:
         """Return what all that acts makes of other rows of z at most, (s,), from error 0 on, for any switching."""
-        levels = self._levels(np.ones(len(self.acts.near)))
-        return np.asarray(self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0))
+        return np.asarray(self._sum(self._everywhere, len(rows), lambda one: one.spread(rows)).max(axis=0))
+
+    @cached_property
+    def _everywhere(self) -> dict[Channel, list[Array]]:
+        """V^½ of each tube in each substep, where predictions may cross planes at any time."""
+        return self._levels(np.ones(len(self.acts.near)))
 
     def _levels(self, where: Array) -> dict[Channel, list[Array]]:
         """Return V^½ of each tube in each substep, where predictions cross planes in some substeps at most."""

@@ -42,7 +42,7 @@ Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the tr
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, reduce
 from itertools import permutations, product
@@ -98,8 +98,16 @@ class SampledErrors:
         seen = cells if plant.watched is None else outermost_cells(plant.watched)
         changes, own = (outermost([one - other for one, other in permutations(each, 2)]) for each in (seen, cells))
         R = held_rows(changes if plant.watched is None else [*changes, *own], plant.B.shape[0])
-        found = cls(plant=plant, gains=gains, cells=cells, seen=seen, changes=changes, R=R)
-        return replace(found, estimates=estimates, sizes=sizes)
+        return cls(
+            plant=plant,
+            gains=gains,
+            cells=cells,
+            seen=seen,
+            changes=changes,
+            R=R,
+            estimates=estimates,
+            sizes=sizes,
+        )
 
     @property
     def predicted(self) -> int:

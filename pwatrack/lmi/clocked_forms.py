@@ -80,7 +80,11 @@ class ClockedForms:
         with np.errstate(all="ignore"):
             if not np.abs(self.over).max() < _GROWS:
                 return -np.inf
-        radius = max(float(np.abs(np.linalg.eigvals(J @ self.over)).max()) for J in self.J)
+        return min(self._own(J @ self.over) for J in self.J)
+
+    def _own(self, turns: Array) -> float:
+        """Return the least rate that maps of a period, (…, n, n), have each by itself, in 1/s."""
+        radius = float(np.abs(np.linalg.eigvals(turns)).max())
         return -float(np.log(max(radius, 1e-300))) / self.period
 
     @cached_property
@@ -98,7 +102,7 @@ class ClockedForms:
     def around(self, rate: float) -> Iterator["ClockedForms"]:
         """Yield the program as it is, and in coordinates that do for the mean at about this rate."""
         yield self
-        own = -float(np.log(np.abs(np.linalg.eigvals(self.J.mean(axis=0) @ self.over[-1])).max())) / self.period
+        own = self._own(self.J.mean(axis=0) @ self.over[-1])
         for share in _AROUND:
             if share * rate < own:
                 with suppress(np.linalg.LinAlgError):

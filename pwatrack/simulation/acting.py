@@ -113,6 +113,8 @@ def _outside(
         off += conditions.quanta.outputs / 2
     found |= {("noise", k): off[ticks, k] ** 2 for k in range(off.shape[1])}
     early = ceil(errors.gains.jitter / 2 / (h / parts))
+    if not early:
+        return found
     around = scipy.ndimage.maximum_filter1d
     return {channel: around(each, 2 * early + 1, mode="nearest") for channel, each in found.items()}
 
@@ -248,10 +250,10 @@ class _Walk:
                     held[:m] = u[substep // self._parts] + self._runs.K @ e
                     self._changes = np.maximum(self._changes, np.abs(held[:m] - self._last))
                     self._last = held[:m].copy()
-                    self._see("u", held[None, :m], held[None, :m])
                 held[m:], last = moving[substep] + self._R @ e, substep
             before[i, :n], before[i, n:] = e, held
             e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
+        self._see("u", before[:, n : n + m], before[:, n : n + m])
         self._e, self._largest = e, np.maximum(self._largest, np.abs(before[:, n:]).max(axis=0))
         return replace(segments, F=F, zeta=np.hstack([before, segments.zeta])), at
 
