@@ -168,7 +168,7 @@ def sampled(name: str, starts: int, random: np.random.Generator) -> tuple[int, i
     controller = design(load_spec(f"specs/{name}.yaml"))
     claim, errors = controller.claim(SampledRegion), controller.claim(SampledBounds).errors
     system, n, inputs = errors.clocked, len(controller.plant.B), claim.room.inputs
-    flows = np.array([expm(F.floats * float(system.period) / system.parts / 2) for F in system.F])
+    flows = np.array([expm(F.floats * float(system.period) / system.parts / 2) for F in system.vertices])
     J, R = system.J[0].floats, np.eye(errors.order) if system.between is None else system.between.floats
     D, places, tried, grown, cut, last = drives(errors, inputs) @ J, [n + k for k in inputs], 0, 0, 0, 0.0
     for one in claim.found:

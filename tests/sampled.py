@@ -135,7 +135,7 @@ def worst_found(claim: TubeBounds, channel: Channel, c: Array, seed: int, *, sum
     """
     errors, random = claim.errors, np.random.default_rng(seed)
     system, drive = errors.clocked, driven(errors, channel)
-    F = np.array([X.floats for X in system.F])
+    F = np.array([X.floats for X in system.vertices])
     parts, fine, n = system.parts, 4, F.shape[1]
     R = np.eye(n) if system.between is None else system.between.floats
     dt = float(system.period) / parts / fine

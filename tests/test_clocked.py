@@ -4,6 +4,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+import picos
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,9 +12,8 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi import clocked_forms
 from pwatrack.lmi.chain_map import Bound, ChainMap
-from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, proves
+from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, looked_for, proves
 from pwatrack.lmi.clocked_forms import best_margin
 from pwatrack.lmi.exact import Packed
 
@@ -100,7 +100,7 @@ def test_a_ball_of_a_jump_counts() -> None:
 
 def holds(system: Clocked, found: ClockedProof) -> bool:
     packed: tuple[Packed, ...] = found.P
-    return proves(system, packed, found.rate)
+    return proves(system, packed, found.T, found.rate)
 
 
 def test_parts_of_a_period_with_a_jump_after_each() -> None:
@@ -114,7 +114,7 @@ def test_parts_of_a_period_with_a_jump_after_each() -> None:
     assert 0.05 < found.rate < 1
     assert holds(system, found)
     assert not holds(replace(system, period=Fraction(40)), found)
-    assert not proves(system, found.P[:7], found.rate)
+    assert not proves(system, found.P[:7], found.T[:7], found.rate)
     assert not holds(system, replace(found, rate=1.5))
     kept = replace(system, between=BallMatrix.of([[1, 0], [0, 2]]))
     assert fastest(kept, knots=1) is None
@@ -133,27 +133,57 @@ def test_of_many_vertices_those_that_decide_are_found() -> None:
 
 
 @pytest.mark.parametrize("order", [2, 7])
-def test_both_methods_find_the_same_margin(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_margin_is_that_of_another_solver(order: int) -> None:
     random = np.random.default_rng(order)
     F = random.normal(size=(3, order, order)) * 0.2 - np.eye(order)
-    J = random.normal(size=(order, order)) / order
-    margins = list[float]()
-    for small in (0, 99):
-        monkeypatch.setattr(clocked_forms, "SMALL", small)
-        eye = np.eye(order)
-        less, more = (-eye / 2, eye), (eye / 2, eye)
-        bounds = [Bound({0: (X.T, eye), 1: less}, eye) for X in F]
-        bounds += [Bound({1: less, 0: (J.T / 2, J)}, eye / 10), Bound({1: more, 0: less}, eye / 10)]
-        found = best_margin(bounds, 2)
-        assert found is not None
-        (P, Q), t = found
-        assert np.trace(P) <= order * (1 + 1e-6)
-        for X in F:
-            assert np.linalg.eigvalsh(X.T @ P + P @ X - Q + t * np.eye(order))[-1] < 1e-6
-        assert np.linalg.eigvalsh(J.T @ P @ J - Q + t / 10 * np.eye(order))[-1] < 1e-6
-        assert np.linalg.eigvalsh(Q - P + t / 10 * np.eye(order))[-1] < 1e-6
-        margins.append(t)
-    assert margins[0] == pytest.approx(margins[1], rel=0.03)
+    J, eye = random.normal(size=(order, order)) / order, np.eye(order)
+    less, more = (-eye / 2, eye), (eye / 2, eye)
+    bounds = [Bound({0: (X.T, eye), 1: less}, eye) for X in F]
+    bounds += [Bound({1: less, 0: (J.T / 2, J)}, eye / 10), Bound({1: more, 0: less}, eye / 10)]
+    found = best_margin(bounds, 2)
+    assert found is not None
+    (P, Q), _, t = found
+    assert np.trace(P) <= order * (1 + 1e-6)
+    for X in F:
+        assert np.linalg.eigvalsh(X.T @ P + P @ X - Q + t * eye)[-1] < 1e-6
+    assert np.linalg.eigvalsh(J.T @ P @ J - Q + t / 10 * eye)[-1] < 1e-6
+    assert np.linalg.eigvalsh(Q - P + t / 10 * eye)[-1] < 1e-6
+    problem, X, Y, s = (
+        picos.Problem(),
+        *(picos.SymmetricVariable(name, order) for name in "XY"),
+        picos.RealVariable("s"),
+    )
+    problem.add_list_of_constraints([A.T * X + X * A - Y + s * eye << 0 for A in F])
+    problem.add_list_of_constraints([J.T * X * J - Y + s / 10 * eye << 0, Y - X + s / 10 * eye << 0])
+    problem.add_constraint(picos.trace(X) == order)
+    problem.set_objective("max", s)
+    problem.solve(solver="cvxopt")
+    assert t == pytest.approx(float(s.value), rel=0.03)
+
+
+@pytest.mark.parametrize("edges", [1, 2, 3])
+def test_what_is_proved_of_a_box_is_so_of_its_corners(edges: int) -> None:
+    """Each corner by itself, and all means of them, with the same forms and without T."""
+    random, n = np.random.default_rng(edges), 3
+    U, V = (BallMatrix.of((0.3 * random.normal(size=shape)).round(3)) for shape in ((n, edges), (edges, n)))
+    F = [BallMatrix.of((0.2 * random.normal(size=(n, n)) - 1.5 * np.eye(n)).round(3)) for _ in range(2)]
+    jump = BallMatrix.of((np.eye(n) + 0.02 * random.normal(size=(n, n))).round(3))
+    system = Clocked(F=F, U=[U, U], V=[V, V], J=[jump], period=Fraction("0.3"))
+    found = fastest(system, knots=2)
+    assert found is not None
+    assert holds(system, found)
+    corners = list(system.vertices)
+    assert len(corners) == 2 * 2**edges
+    alone = replace(system, F=corners, U=(), V=())
+    assert proves(alone, found.P, ((),) * len(found.P), found.rate)
+    by_corners = fastest(alone, knots=2)
+    assert by_corners is not None
+    assert 0.5 * by_corners.rate < found.rate < looked_for(alone, 2).most
+    lighter = replace(found, T=tuple(tuple(v / 50 for v in row) for row in found.T))
+    assert not holds(system, lighter)
+    assert not holds(system, replace(found, T=found.T[:-1]))
+    assert not holds(system, replace(found, T=tuple(row[:-1] for row in found.T)))
+    assert not holds(system, replace(found, T=tuple(tuple(-v for v in row) for row in found.T)))
 
 
 def test_a_slow_mode_beside_fast_ones_is_proved() -> None:
@@ -169,17 +199,23 @@ def test_a_slow_mode_beside_fast_ones_is_proved() -> None:
 
 
 def test_the_form_of_the_terms_gives_the_matrix_of_a_step() -> None:
-    """Against the same from the left-hand sides of all unit vectors."""
-    random, n = np.random.default_rng(0), 3
-    X = random.normal(size=(12, n, n))
-    terms = [{0: 0, 1: 2}, {1: 4, 2: 6}, {2: 8}, {0: 10}]
-    bounds = [Bound({k: (X[j], X[j + 1]) for k, j in each.items()}, np.eye(n) * at) for at, each in enumerate(terms)]
-    chain = ChainMap(bounds, 3)
-    W = random.normal(size=(len(bounds), n, n))
+    """Against the same from the left-hand sides of all unit vectors; some inequalities are larger, and have numbers."""
+    random, n, N = np.random.default_rng(0), 3, 5
+    terms, bounds = [{0, 1}, {1, 2}, {2}, {0}], list[Bound]()
+    for at, each in enumerate(terms):
+        order = n if at == 2 else N
+        pairs = {k: (random.normal(size=(order, n)), random.normal(size=(n, order))) for k in each}
+        S = random.normal(size=(2, N, N))
+        numbers = {} if order == n else {"places": (at % 2, 2), "S": S + S.transpose(0, 2, 1)}
+        bounds.append(Bound(pairs, np.eye(order) * at, **numbers))  # type: ignore[arg-type]
+    chain = ChainMap(bounds, 3, None, 3)
+    W = random.normal(size=(len(bounds), N, N))
     W, Z = W @ W.transpose(0, 2, 1), W + W.transpose(0, 2, 1)
     images = np.array([chain.apply(unit) for unit in np.eye(chain.size)])
-    each = images.reshape(chain.size, len(bounds), n, n)
-    H = np.zeros((chain.size, chain.size))
+    sides = images.reshape(chain.size, len(bounds), N, N)
+    assert (sides[:, 2, n:] == 0).all()
+    H = np.full((chain.size, chain.size), 7.0)
+    H[: chain.first] = 0.0
     chain.normal(W.ravel(), H)
-    assert np.tril(H) == pytest.approx(np.tril(np.einsum("ujab,jbc,vjcd,jda->uv", each, W, each, W)), rel=1e-12)
+    assert np.tril(H) == pytest.approx(np.tril(np.einsum("ujab,jbc,vjcd,jda->uv", sides, W, sides, W)), rel=1e-12)
     assert chain.adjoint(Z.ravel()) == pytest.approx(images @ Z.ravel(), rel=1e-12)

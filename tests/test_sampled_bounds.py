@@ -152,7 +152,12 @@ def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance
         changes=np.zeros(1),
     )
     one = Tube(
-        Q=(), a=0.0 if kind == "noise" else 0.8, b=0.2 if kind == "noise" else 0.0, sizes=(), summed=kind == "moved"
+        Q=(),
+        T=(),
+        a=0.0 if kind == "noise" else 0.8,
+        b=0.2 if kind == "noise" else 0.0,
+        sizes=(),
+        summed=kind == "moved",
     )
     found, V, dt = level(acts, (kind, 0), one, gains), 0.0, 0.1 / fine
     for k in range(K):
@@ -261,7 +266,7 @@ def test_less_the_nominal_loop_only_what_is_otherwise_is_left(
     """z under ω that jumps and rises is e₀, and what R e₀ and what R e₀ moved drive, at all times."""
     errors, random, fine = the_bounds(friction[1]).errors, np.random.default_rng(seed), 4
     system, (n, m, N, _) = errors.clocked, errors.widths
-    F, J, K = np.array([X.floats for X in system.F]), system.J[0].floats, errors.gains.K
+    F, J, K = np.array([X.floats for X in system.vertices]), system.J[0].floats, errors.gains.K
     assert system.between is not None
     B, R, A0 = friction[1].plant.B, errors.R.floats, errors.mean.floats
     ends, dt = system.between.floats, float(system.period) / system.parts / fine
@@ -295,7 +300,7 @@ def test_where_ticks_are_late_a_disturbance_makes_up_for_it(seed: int, friction:
     """In time of the program, with λ any, x_d' any: (λ − 1) (x_d + e₀)' less what R e₀ says of it acts too."""
     plain, random = the_bounds(friction[1]).errors, np.random.default_rng(seed)
     errors = replace(plain, gains=replace(plain.gains, jitter=0.3 * plain.gains.sample_time))
-    F, (n, m, N, _) = np.array([X.floats for X in errors.clocked.F]), errors.widths
+    F, (n, m, N, _) = np.array([X.floats for X in errors.clocked.vertices]), errors.widths
     paces = F[:, 0, 1]  # of position, of which all cells say that it changes as speed does
     K, R, A0, B, order = errors.gains.K, errors.R.floats, errors.mean.floats, friction[1].plant.B, errors.order
     nominal, moved = (driven(errors, (kind, 0)) for kind in ("nominal", "moved"))

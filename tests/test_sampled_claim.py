@@ -5,11 +5,14 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from pwatrack import Spec, design, load_spec
@@ -20,13 +23,17 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.sampled_search import with_forms
-from pwatrack.control.vertices import held_rows, outermost
+from pwatrack.control.vertices import boxes, differences, held_rows, outermost
+from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.bounds import Loop
+from pwatrack.lmi.audit.boxes import boxes as audited_boxes
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.ticks import AuditedErrors
 from pwatrack.lmi.clocked import ClockedProof, fastest
 from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.rational import floats as floats_of
+from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.sampled_runs import SampleMaps, sampling_remarks
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
@@ -133,7 +140,7 @@ def test_the_form_falls_for_switching_that_no_plant_makes(seed: int, section: tu
     assert proof is not None
     assert system.between is not None
     P = [np.array(P_k.P.tolist(), dtype=float) for P_k in proof.P]
-    F, (J,), R = np.array([X.floats for X in system.F]), system.J, system.between.floats
+    F, (J,), R = np.array([X.floats for X in system.vertices]), system.J, system.between.floats
     z, steps = random.normal(size=errors.order), 10
     for _ in range(20):
         for part in range(2):
@@ -246,10 +253,6 @@ def test_a_plant_of_one_cell_is_proved_without_rows(tmp_path: Path) -> None:
     assert faults == ["the rows of the sampled loop do not span the differences of its cells"]
 
 
-def matrices_of(balls: Any) -> set[Any]:
-    return {tuple(map(tuple, ball.centre)) for ball in balls}
-
-
 @pytest.mark.parametrize("which", ["section", "loaded"])
 @pytest.mark.parametrize(("delay", "jitter"), [(0, 0.0), (1, 0.01), (2, 0.01)])
 def test_the_auditor_makes_the_same_matrices_from_the_file(
@@ -260,13 +263,15 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     gains = replace(gains, delay=delay, jitter=jitter)
     errors = SampledErrors.of(controller.plant, gains)
     content = design_certificate(spec, controller)
-    told = SampledLoop(gains=gains, proof=ClockedProof(P=(), rate=1.0)).data(controller)["sampled"]
+    told = SampledLoop(gains=gains, proof=ClockedProof(P=(), T=(), rate=1.0)).data(controller)["sampled"]
     again = AuditedErrors(told, Loop(AuditedPlant(content["plant"]), [], [], None))
     system = errors.clocked
     assert system.between is not None
-    for own, audited in ((system.F, again.flows), (system.J, again.ticks), ([system.between], [again.substep])):
-        texts = {tuple(tuple(map(Fraction, row)) for row in X.texts) for X in own}
-        assert texts == matrices_of(audited)
+    flows, U, V = zip(*again.flows, strict=True)
+    pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
+    for own, audited in (*pairs, (system.U, list(map(Ball, U))), (system.V, list(map(Ball, V)))):
+        texts = [tuple(tuple(map(Fraction, row)) for row in X.texts) for X in own]
+        assert texts == [tuple(map(tuple, ball.centre)) for ball in audited]
 
 
 def test_what_is_not_proved_is_said(section: tuple[Spec, ProvedController]) -> None:
@@ -314,13 +319,46 @@ def test_outermost_matrices_and_the_rows_that_they_differ_in() -> None:
     grid = [BallMatrix.of([[a, b], [0, 1]]) for a in (0, 1, 5) for b in ("0.5", 2, 3)]
     corners = outermost(grid)
     assert sorted((X.floats[0, 0], X.floats[0, 1]) for X in corners) == [(0, 0.5), (0, 3), (5, 0.5), (5, 3)]
-    changes = [corners[0] - X for X in corners[1:]]
-    assert held_rows(changes, 2).texts == [["1", "0"], ["0", "1"]]
+    assert held_rows(differences(corners), 2).texts == [["1", "0"], ["0", "1"]]
+    assert held_rows(differences(corners[:3]), 2).texts == [["1", "0"], ["0", "1"]]
     one = [BallMatrix.of([[0, 2, 4]]), BallMatrix.of([[0, 1, 2]])]
-    assert held_rows(one, 3).texts == [["0", "1", "2"]]
+    assert held_rows(differences(one), 3).texts == [["0", "1", "2"]]
     unsure = [BallMatrix(X.centre, BallMatrix.of([["0", "0", "0.1"]]).centre) for X in one]
-    assert held_rows(unsure, 3).texts == [["0", "1", "0"], ["0", "0", "1"]]
+    assert held_rows(differences(unsure), 3).texts == [["0", "1", "0"], ["0", "0", "1"]]
     assert len(outermost([*unsure, unsure[0]])) == 2
+
+
+small = st.integers(-3, 3)
+columns = st.lists(small, min_size=3, max_size=3)
+edges_of = st.lists(st.tuples(columns, columns), min_size=1, max_size=3)
+
+
+@given(edges_of, st.randoms())
+@settings(max_examples=60)
+def test_corners_of_a_box_are_known_as_one_by_both_halves(
+    edges: list[tuple[list[int], list[int]]], chance: Any
+) -> None:
+    """All ± sums of products u vᵀ that are independent; one corner less, or one that is moved, is no box."""
+    each = [np.outer(u, v) for u, v in edges]
+    assume(np.linalg.matrix_rank([X.ravel() for X in each]) == len(each))
+    floats = [sum((s * X for s, X in zip(signs, each, strict=True)), np.eye(3)) for signs in all_signs(len(each))]
+    chance.shuffle(floats)
+    corners = [BallMatrix.of(X.astype(int).tolist()) for X in floats]
+    (box,), (again,) = boxes(corners), audited_boxes([ball_of(X) for X in corners])
+    assert box.middle.floats.tolist() == np.eye(3).tolist()
+    assert again.edges == [[list(map(fraction_of, row)) for row in D.tolist()] for D in box.edges]
+    assert {tuple(abs(floats_of(D)).ravel()) for D in box.edges} == {tuple(abs(X).ravel().astype(float)) for X in each}
+    moved = [corners[0] + BallMatrix.of([[0, 0, 0], [0, 1, 0], [0, 0, 7]]), *corners[1:]]
+    for some in (corners[1:], moved) if len(corners) > 2 else ():
+        assert len(boxes(some)) == len(audited_boxes([ball_of(X) for X in some])) == len(some)
+
+
+def all_signs(count: int) -> list[tuple[int, ...]]:
+    return list(product((1, -1), repeat=count))
+
+
+def ball_of(X: BallMatrix) -> Ball:
+    return Ball([[Fraction(v) for v in row] for row in X.texts])
 
 
 IN_UNITS = """

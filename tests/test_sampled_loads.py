@@ -210,7 +210,7 @@ def along_the_loop(
 ) -> tuple[float, float]:
     """Return by how much ticks and flows of the loop, as it runs, are none of those that are in the proof."""
     system, fine = errors.clocked, 6
-    F, J = (np.array([X.floats for X in some]) for some in (system.F, system.J))
+    F, J = (np.array([X.floats for X in some]) for some in (list(system.vertices), system.J))
     step, at_ticks, between = float(system.period) / system.parts / fine, 0.0, 0.0
     past = list[Array]()
     for part, k, z in running(errors, controller, seed, ticks, jitter):
@@ -335,12 +335,14 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     _, spec, controller = loaded
     gains = gains_of(controller, 0.02, delay)
     content = json.loads(json.dumps(design_certificate(spec, controller)))
-    told = SampledLoop(gains=gains, proof=ClockedProof(P=(), rate=1.0)).data(controller)["sampled"]
+    told = SampledLoop(gains=gains, proof=ClockedProof(P=(), T=(), rate=1.0)).data(controller)["sampled"]
     plant, generator = AuditedPlant(content["plant"]), content["generator"]
     X = None if generator is None else normal_form(plant, generator)[1]
     again, system = AuditedErrors(told, Loop(plant, [], [], X, generator)), errors_of(controller, gains).clocked
     assert system.between is not None
-    for own, audited in ((system.F, again.flows), (system.J, again.ticks), ([system.between], [again.substep])):
+    flows, U, V = zip(*again.flows, strict=True)
+    pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
+    for own, audited in (*pairs, (system.U, list(map(Ball, U))), (system.V, list(map(Ball, V)))):
         assert len(own) == len(audited)
         found = [np.array(ball.centre, dtype=float) for ball in audited]
         for X_own in own:

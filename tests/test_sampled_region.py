@@ -105,7 +105,7 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
     errors = controller.claim(SampledBounds).errors
     system, random, reached = errors.clocked, np.random.default_rng(4), 0
     slowed = 0
-    F, (J,) = np.array([X.floats for X in system.F]), (X.floats for X in system.J)
+    F, (J,) = np.array([X.floats for X in system.vertices]), (X.floats for X in system.J)
     assert system.between is not None
     R, step = system.between.floats, 0.02 / system.parts
     place = len(controller.plant.B)

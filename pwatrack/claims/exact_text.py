@@ -71,12 +71,22 @@ def packed_forms(found: Any) -> tuple[Packed, ...]:
 
 def clocked_content(proof: ClockedProof) -> dict[str, Any]:
     """Return the forms that prove a loop that is sampled."""
-    return {"rate": decimal(proof.rate), "P": [packed(P) for P in proof.P]}
+    return {"rate": decimal(proof.rate), "P": [packed(P) for P in proof.P], "T": diagonals(proof.T)}
+
+
+def diagonals(T: Sequence[Sequence[float]]) -> list[list[str]]:
+    """Return diagonals at knots as decimals."""
+    return [[decimal(v) for v in row] for row in T]
+
+
+def read_diagonals(told: Any) -> tuple[tuple[float, ...], ...]:
+    """Return what was written by `diagonals`."""
+    return tuple(tuple(double(v) for v in row) for row in told)
 
 
 def read_clocked(told: Any) -> ClockedProof:
     """Return what was written by `clocked_content`."""
-    return ClockedProof(P=packed_forms(told["P"]), rate=double(told["rate"]))
+    return ClockedProof(P=packed_forms(told["P"]), T=read_diagonals(told["T"]), rate=double(told["rate"]))
 
 
 def signals(sizes: Iterable[tuple[Form, float]]) -> list[list[Any]]:

@@ -21,7 +21,17 @@ import numpy as np
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import in_ellipsoid
-from pwatrack.claims.exact_text import decimal, double, packed, packed_forms, read_channel, read_signals, signals
+from pwatrack.claims.exact_text import (
+    decimal,
+    diagonals,
+    double,
+    packed,
+    packed_forms,
+    read_channel,
+    read_diagonals,
+    read_signals,
+    signals,
+)
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.control.bounds import Channel, Form
@@ -95,6 +105,7 @@ class TubeBounds(Claim):
                 "b": decimal(one.b),
                 "summed": int(one.summed),
                 "Q": [packed(Q) for Q in one.Q],
+                "T": diagonals(one.T),
                 "signals": signals(zip(self.forms, one.sizes, strict=True)),
             }
             for channel, each in self.tubes.items()
@@ -395,6 +406,7 @@ def _above(size: float) -> float:
 def _read_tube(entry: Any) -> Tube:
     return Tube(
         Q=packed_forms(entry["Q"]),
+        T=read_diagonals(entry["T"]),
         a=double(entry["a"]),
         b=double(entry["b"]),
         sizes=tuple(size for _, size in read_signals(entry["signals"])),

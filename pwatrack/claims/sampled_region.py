@@ -15,7 +15,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import decimal_texts, doubles, packed, packed_forms
+from pwatrack.claims.exact_text import decimal_texts, diagonals, doubles, packed, packed_forms, read_diagonals
 from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, read_sizes, taken_off
 from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
@@ -83,7 +83,8 @@ class SampledRegion(RegionClaim):
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {
             "sampled_regions": [
-                one.about | {"P": [packed(P) for P in one.held.P], "H": decimal_texts(one.held.H)}
+                one.about
+                | {"P": [packed(P) for P in one.held.P], "T": diagonals(one.held.T), "H": decimal_texts(one.held.H)}
                 for one in self.found
                 if isinstance(one.held, ClockedRegion)
             ]
@@ -344,4 +345,5 @@ def _more(starts: Starts, off: Array, loads: int) -> Starts:
 
 
 def _read(entry: Any) -> ClockedRegion:
-    return ClockedRegion(P=packed_forms(entry["P"]), H=np.asarray(doubles(entry["H"])), **read_sizes(entry))
+    P, T = packed_forms(entry["P"]), read_diagonals(entry["T"])
+    return ClockedRegion(P=P, T=T, H=np.asarray(doubles(entry["H"])), **read_sizes(entry))

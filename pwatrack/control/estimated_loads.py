@@ -26,7 +26,7 @@ import flint
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix, above, absolute, beside, different, zero
-from pwatrack.control.vertices import outermost_cells
+from pwatrack.control.vertices import outermost, outermost_cells
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import fraction_of, identity, number
@@ -88,7 +88,7 @@ class OnEstimates:
         return cls(
             loads=k,
             x_d=whole,
-            moves=different([A @ whole + B @ law(A)[1] for A in outer]),
+            moves=outermost([A @ whole + B @ law(A)[1] for A in outer]),
             cells=[law(A) for A in different(plant.exact.A)],
             hull=different([law(A)[0] for A in outer]),
         )

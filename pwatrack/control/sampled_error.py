@@ -41,22 +41,22 @@ Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the tr
     δ⁺ = [ε⁺ + P(F_a) F_j ε⁺]_η
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, reduce
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, zero
 from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_gains import SampledGains
-from pwatrack.control.vertices import held_rows, outermost, outermost_cells
+from pwatrack.control.vertices import Box, boxes, differences, factors, held_rows, outermost, outermost_cells
 from pwatrack.lmi.clocked import Clocked
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.rational import identity, pivots
+from pwatrack.rational import identity, pivots, rational
 from pwatrack.real import Real
 
 
@@ -69,7 +69,7 @@ class SampledErrors:
         gains: Of the program.
         cells: A_i that have those of all cells in their hull.
         seen: A_j of what is predicted, likewise.
-        changes: A_a − A_b of these, likewise.
+        changes: A_a − A_b of these, in boxes; none where all are one.
         R: Rows that span the rows of these, each with a column in which it alone is 1.
         deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
             at most.
@@ -82,7 +82,7 @@ class SampledErrors:
     gains: SampledGains
     cells: Sequence[BallMatrix]
     seen: Sequence[BallMatrix]
-    changes: Sequence[BallMatrix]
+    changes: Sequence[Box]
     R: BallMatrix
     deviations: Sequence[tuple[BallMatrix, float]] = ()
     estimates: OnEstimates | None = None
@@ -96,8 +96,8 @@ class SampledErrors:
         """Find cells and changes that the others are means of."""
         cells = outermost_cells(plant)
         seen = cells if plant.watched is None else outermost_cells(plant.watched)
-        changes, own = (outermost([one - other for one, other in permutations(each, 2)]) for each in (seen, cells))
-        R = held_rows(changes if plant.watched is None else [*changes, *own], plant.B.shape[0])
+        changes = differences(seen)
+        R = held_rows(changes if plant.watched is None else [*changes, *differences(cells)], plant.B.shape[0])
         return cls(
             plant=plant,
             gains=gains,
@@ -165,8 +165,12 @@ class SampledErrors:
         """They as a system with a clock, in the time of the program."""
         (n, m, *others), held, rest = self.widths, self.predicted * self.R.shape[0], sum(self.more)
         ends = BallMatrix.of(np.diag([1.0] * (self.order - held - rest) + [0.0] * held + [1.0] * rest))
+        F, edges = zip(*(each for pace in self.paces for each in self._flows(pace)), strict=True)
+        U, V = zip(*(_factors(D, self.order) for D in edges), strict=True)
         return Clocked(
-            F=different([F for pace in self.paces for F in self._flows(pace)]),
+            F=F,
+            U=U,
+            V=V,
             J=self.ticks,
             period=Real.of(self.gains.sample_time).centre,
             parts=self.parts,
@@ -186,41 +190,56 @@ class SampledErrors:
             z += [epsilon, epsilon[len(epsilon) - self.estimates.eta :]]
         return tuple(np.concatenate(z).tolist())
 
-    def _flows(self, pace: Fraction) -> list[BallMatrix]:
-        """Return what they obey between ticks that are a share of h apart."""
-        plant, d, (n, m, N, *_), found = self.plant, self.predicted, self.widths, list[BallMatrix]()
-        seen = self.seen if plant.loads is None else [plant.loads.observed(A) for A in self.seen]
-        pushes = [change.part(range(n), pivots(self.R.centre)) for change in self.changes] or [zero(n, 0)]
-        for e, known in self.driven:
-            late = above(known - e.times(pace), zero(N - n, self.order))
-            for predicted in product(product(seen, pushes), repeat=d):
-                Delta, rho = list[BallMatrix](), list[BallMatrix]()
-                for i, (A_j, push) in enumerate(predicted):
-                    row = self._row(N, {2 + i: A_j, 2 + d + i: above(push, zero(N - n, push.shape[1]))})
-                    Delta.append(row + late)
-                    rho.append(self.R @ (known + row.part(range(n), range(self.order))))
-                rest = zero(sum(self.more), self.order)
-                found.append(above(e.times(pace), zero(m, self.order), *Delta, *rho, rest))
-        return found
+    @cached_property
+    def free(self) -> list[list[Box]]:
+        """What differs between flows, each by itself: e', twice, then of each prediction A_j and G."""
+        seen, at = boxes(self.seen), pivots(self.R.centre)
+        pushes = [box.part(range(self.plant.B.shape[0]), at) for box in self.changes]
+        return [boxes(self.driven), *[seen, pushes or [Box(zero(self.plant.B.shape[0], 0))]] * self.predicted]
+
+    def _flows(self, pace: Fraction) -> Iterator[tuple[BallMatrix, list[BallMatrix]]]:
+        """Yield what they obey between ticks that are a share of h apart: middles, and the edges of each box."""
+        loads, nothing = self.plant.loads, [box.middle.times(Fraction(0)) for box, *_ in self.free]
+        for chosen in product(*self.free):
+            edges = list[BallMatrix]()
+            for k, box in enumerate(chosen):
+                alone = ([*nothing[:k], BallMatrix(D), *nothing[k + 1 :]] for D in box.edges)
+                edges += [self._flow(pace, parts[0], parts[1::2], parts[2::2]) for parts in alone]
+            rows, *predicted = (box.middle for box in chosen)
+            seen = [A if loads is None else loads.observed(A) for A in predicted[::2]]
+            yield self._flow(pace, rows, seen, predicted[1::2]), edges
+
+    def _flow(
+        self, pace: Fraction, rows: BallMatrix, seen: Sequence[BallMatrix], pushes: Sequence[BallMatrix]
+    ) -> BallMatrix:
+        """Return F with this e', once as it is and once as the program takes it, A_j and G; it is linear in them."""
+        d, (n, m, N, *_), columns = self.predicted, self.widths, range(self.order)
+        e, known = rows.part(range(n), columns), rows.part(range(n, 2 * n), columns)
+        late = above(known - e.times(pace), zero(N - n, self.order))
+        Delta, rho = list[BallMatrix](), list[BallMatrix]()
+        for i, (A_j, push) in enumerate(zip(seen, pushes, strict=True)):
+            whole = A_j if A_j.shape[0] == N else above(beside(A_j, zero(n, N - n)), zero(N - n, N))
+            row = self._row(N, {2 + i: whole, 2 + d + i: above(push, zero(N - n, push.shape[1]))})
+            Delta.append(row + late)
+            rho.append(self.R @ (known + row.part(range(n), columns)))
+        return above(e.times(pace), zero(m, self.order), *Delta, *rho, zero(sum(self.more), self.order))
 
     @cached_property
-    def driven(self) -> list[tuple[BallMatrix, BallMatrix]]:
-        """e' where ticks are h apart, and what the program takes it for."""
+    def driven(self) -> list[BallMatrix]:
+        """e' where ticks are h apart, and below it what the program takes it for, (2 n, order) each."""
         (n, _, N, *_), B, loads, at = self.widths, self.plant.exact.B, self.plant.loads, 2 + 2 * self.predicted
+        if self.corners:
+            each = [(A_c, c.B, A_i) for c in self.corners for A_c, A_i in zip(c.A, self.plant.exact.A, strict=True)]
+            return outermost(
+                [above(self._row(n, {0: A_c, 1: B_c}), self._row(n, {0: A, 1: B})) for A_c, B_c, A in each]
+            )
         if self.estimates is not None:
             D, pairs = self.estimates.x_d, product(self.cells, self.estimates.moves)
             rows = [self._row(n, {0: A_i, 1: B, at: c - A_i @ D}) for A_i, c in pairs]
-            return list(zip(rows, rows, strict=True))
-        if self.corners:
-            each = [(A_c, c.B, A_i) for c in self.corners for A_c, A_i in zip(c.A, self.plant.exact.A, strict=True)]
-            both = outermost(
-                [above(self._row(n, {0: A_c, 1: B_c}), self._row(n, {0: A, 1: B})) for A_c, B_c, A in each]
-            )
-            columns = range(self.order)
-            return [(X.part(range(n), columns), X.part(range(n, 2 * n), columns)) for X in both]
-        minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
-        rows = [self._row(n, {0: A_i, 1: B} | minus) for A_i in self.cells]
-        return list(zip(rows, rows, strict=True))
+        else:
+            minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
+            rows = [self._row(n, {0: A_i, 1: B} | minus) for A_i in self.cells]
+        return [above(row, row) for row in rows]
 
     @property
     def ticks(self) -> list[BallMatrix]:
@@ -258,3 +277,10 @@ class SampledErrors:
     def _row(self, height: int, blocks: Mapping[int, BallMatrix]) -> BallMatrix:
         """Return rows on z that are 0 but for some blocks."""
         return beside(*(blocks.get(k, zero(height, width)) for k, width in enumerate(self.widths)))
+
+
+def _factors(edges: Sequence[BallMatrix], order: int) -> tuple[BallMatrix, BallMatrix]:
+    """Return U and V with a column and a row for each edge u vᵀ."""
+    pairs = [factors(D.centre) for D in edges]
+    U, V = (rational([pair[k] for pair in pairs], (len(pairs), order)) for k in (0, 1))
+    return BallMatrix(U.transpose()), BallMatrix(V)

@@ -1,6 +1,7 @@
 """Forms that prove a loop that is sampled, looked for with as many substeps and knots as it takes, within a budget."""
 
 from dataclasses import replace
+from math import prod
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from pwatrack.arrays import Array
 from pwatrack.control.estimated_loads import OnEstimates
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
-from pwatrack.control.vertices import outermost_cells
+from pwatrack.control.vertices import boxes, outermost_cells
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.clocked import ClockedProof, clocked_proof, fastest
 from pwatrack.lmi.exact import rounded_down
@@ -25,7 +26,7 @@ _DIGITS = 3  # of a sample time that is looked at
 _DOUBLINGS = 6  # of a sample time, or halvings, until one is found that is proved and one that is not
 _MOST_TURNED = 20.0  # h times the size of what x_d and u_ff are made of: beyond it a sample is no short time
 _SHARES_OF_BOX = (0.5, 0.25, 0.1)  # of the rate that parts of z have by themselves: what is asked for a box
-_MOST_CELLS = 200  # of a hull, that are looked at one by one
+_MOST_CELLS = 256  # of a hull, that are looked at one by one
 
 
 def too_much(plant: PWASystem, gains: SampledGains, estimates: OnEstimates | None = None) -> str:
@@ -121,7 +122,8 @@ def _tried(errors: SampledErrors, most: int) -> list[tuple[SampledErrors, int]]:
 
 def work(errors: SampledErrors) -> int:
     """Return how much one segment in each substep takes."""
-    return _inequalities(errors) * errors.order**2
+    edges = sum(len(one.edges) for one, *_ in errors.free)
+    return _inequalities(errors) * errors.order * (errors.order + edges)
 
 
 def _most(errors: SampledErrors) -> int:
@@ -131,10 +133,7 @@ def _most(errors: SampledErrors) -> int:
 
 def _inequalities(errors: SampledErrors) -> int:
     """Return how many there are between ticks, for one segment in each substep."""
-    of_each = len(errors.seen) * max(1, len(errors.changes))
-    moves = 1 if errors.estimates is None else len(errors.estimates.moves)
-    cells = len(errors.driven) if errors.corners else len(errors.cells) * moves
-    return int(2 * errors.parts * len(errors.paces) * cells * of_each**errors.predicted)
+    return 2 * errors.parts * len(errors.paces) * prod(map(len, errors.free))
 
 
 def _much(errors: SampledErrors) -> str:
@@ -144,11 +143,12 @@ def _much(errors: SampledErrors) -> str:
 def _least_work(plant: PWASystem, gains: SampledGains) -> int:
     """Return what inequalities times the square of their order are at least, without looking for changes.
 
-    There are as many of these as cells at least: a hull of differences has no fewer corners than the hull.
+    Where cells are no box there are as many of these as cells at least: a hull of differences has no fewer corners than
+    the hull.
     """
     of = plant.model
-    cells = len(of.hull) if len(of.hull) > _MOST_CELLS else len(outermost_cells(of))
-    parts, predicted = gains.substeps if cells > 1 else 1, max(1, gains.delay)
-    order = sum(plant.B.shape) + predicted * (plant.observed.C.shape[1] + (cells > 1))
+    cells = len(of.hull) if len(of.hull) > _MOST_CELLS else len(boxes(outermost_cells(of)))
+    parts, predicted = gains.substeps if len(of.hull) > 1 else 1, max(1, gains.delay)
+    order = sum(plant.B.shape) + predicted * (plant.observed.C.shape[1] + (len(of.hull) > 1))
     own = cells if plant.watched is None else 1
     return int(2 * parts * own * cells ** (2 * predicted) * order**2)

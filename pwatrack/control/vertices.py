@@ -1,14 +1,23 @@
-"""Matrices that have some others in their hull, exactly, and the rows in which they, or plants, differ."""
+"""Matrices that have some others in their hull, exactly, boxes of them, and the rows in which they, or plants, differ.
+
+Cells of n elements are the corners of a box with an edge for each: what is said of a middle and of its edges, one by
+one, is n times as much work, where corners are 2ⁿ.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from itertools import permutations
 
+import flint
 import numpy as np
 
 from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.model.pwa import Matrices, PWASystem
-from pwatrack.rational import Rational, fraction_of, identity, stacked
+from pwatrack.rational import Rational, fraction_of, identity, number, on_entries, stacked
+
+_HALF = Fraction(1, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +51,87 @@ class Differences:
         return np.asarray(rows)
 
 
+@dataclass(frozen=True)
+class Box:
+    """All middle + Σ ε_k D_k with |ε_k| ≤ 1.
+
+    Attributes:
+        middle: (j, k).
+        edges: D_k, (j, k) each, of rank 1, by the last number in which they differ.
+    """
+
+    middle: BallMatrix
+    edges: tuple[Rational, ...] = ()
+
+    def part(self, rows: Sequence[int], columns: Sequence[int]) -> "Box":
+        """Return the entries of some rows and columns."""
+        return Box(self.middle.part(rows, columns), tuple(on_entries(D, rows, columns) for D in self.edges))
+
+    @property
+    def differences(self) -> "Box":
+        """Those of any two matrices in it."""
+        radius = None if self.middle.radius is None else self.middle.radius * 2
+        return Box(BallMatrix(self.middle.centre * 0, radius), tuple(D * 2 for D in self.edges))
+
+
+def boxes(matrices: Sequence[BallMatrix]) -> list[Box]:
+    """Return one box whose corners some different matrices are, or each by itself.
+
+    Example: the slopes of two elements.
+
+        >>> A = [BallMatrix.of([[0, 1], [a, b]]) for a in (-3, -1) for b in (0, 4)]
+        >>> (box,) = boxes(A)
+        >>> box.middle.floats.tolist(), [D.tolist() for D in box.edges]
+        ([[0.0, 1.0], [-2.0, 2.0]], [[[0, 0], [0, 2]], [[0, 0], [1, 0]]])
+        >>> len(boxes(A[:3]))
+        3
+    """
+    if not matrices:
+        return []
+    alone, (first, *others) = [Box(X) for X in matrices], [X.centre for X in matrices]
+    off = [X - first for X in others]
+    points = {tuple(X.entries()) for X in off}
+    edges = [X for X in off if not any(tuple((X - Y).entries()) in points for Y in off)]
+    if len(matrices) != 2 ** len(edges) or any(X.rank() != 1 for X in edges):
+        return alone
+    corners = [first * 0]
+    for X in edges:
+        corners += [Y + X for Y in corners]
+    if {tuple(X.entries()) for X in corners[1:]} != points:
+        return alone
+    radii = [X.radius for X in matrices if X.radius is not None]
+    most = [max(each) for each in zip(*(X.entries() for X in radii), strict=True)]
+    radius = flint.fmpq_mat(first.nrows(), first.ncols(), most) if radii else None
+    middle = first + sum((X * number(_HALF) for X in edges), first * 0)
+    return [Box(BallMatrix(middle, radius), tuple(sorted(map(_half, edges), key=_key)))]
+
+
+def _half(X: Rational) -> Rational:
+    """Return half of an edge, with a sign of its own."""
+    sign = next(v for v in X.entries() if v != 0)
+    return X * number(_HALF if sign > 0 else -_HALF)
+
+
+def _key(X: Rational) -> list[Fraction]:
+    return [fraction_of(v) for v in X.entries()]
+
+
+def differences(matrices: Sequence[BallMatrix]) -> list[Box]:
+    """Return those of any two different matrices in the hull of some, in boxes; none of one matrix."""
+    found = boxes(matrices)
+    if len(found) == 1:
+        return [found[0].differences] if found[0].edges else []
+    return boxes(outermost([one - other for one, other in permutations(matrices, 2)]))
+
+
+def factors(X: Rational) -> tuple[list[Fraction], list[Fraction]]:
+    """Return u and v with u vᵀ = X, of rank 1: the first entry of v that is not 0 is 1."""
+    rows = [[fraction_of(v) for v in row] for row in X.tolist()]
+    first = next(row for row in rows if any(row))
+    at = next(k for k, v in enumerate(first) if v)
+    return [row[at] for row in rows], [v / first[at] for v in first]
+
+
 def outermost(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
     """Return different matrices, without those between two others, exactly: the hull stays what it is."""
     found = different(matrices)
@@ -71,13 +161,14 @@ def _between(points: Sequence[Sequence[Rational]], k: int) -> bool:
     return False
 
 
-def held_rows(changes: Sequence[BallMatrix], n: int) -> BallMatrix:
+def held_rows(differences: Sequence[Box], n: int) -> BallMatrix:
     """Return R with a row for each dimension in which A_a − A_b differ, and 1 alone in some column of each row.
 
     Where these have radii: unit rows for all columns that are not 0.
     """
-    if not changes:
+    if not differences:
         return BallMatrix.of([], (0, n))
+    changes = [X for box in differences for X in (box.middle, *(BallMatrix(D) for D in box.edges))]
     if all(X.radius is None for X in changes):
         form, rank = stacked([X.centre for X in changes]).rref()
         return BallMatrix(form).part(range(rank), range(n))

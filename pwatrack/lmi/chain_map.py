@@ -1,7 +1,8 @@
 """Inequalities in several symmetric matrices, each in few of them, as a linear map: by the form of their terms.
 
-The left-hand side of inequality j is Σ_k (L_jk P_k R_jk + R_jkᵀ P_k L_jkᵀ) + t T_j. With W_j of a step, the part of the
-normal equations for P_k and P_k' is that of `linear_map`: with X = R W L', X' = R' W L, V = R W R'ᵀ and U = L'ᵀ W L
+The left-hand side of inequality j is Σ_k (L_jk P_k R_jk + R_jkᵀ P_k L_jkᵀ) + Σ_l τ_jl S_jl + t T_j, τ_jl some of a few
+numbers. With W_j of a step, the part of the normal equations for P_k and P_k' is that of `linear_map`: with
+X = R W L', X' = R' W L, V = R W R'ᵀ and U = L'ᵀ W L
 
     2 Σ_j tr(P X P' X') + tr(P V P' U),
 
@@ -18,45 +19,69 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.lmi.blocks import Blocks
 from pwatrack.lmi.linear_map import LinearMap, Triangle
 
-Term = tuple[Array, Array]  # L and R
+Term = tuple[Array, Array]  # L (N, n) and R (n, N)
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Σ_k (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + t T + C ⪯ 0."""
+    """Σ_k (L_k P_k R_k + R_kᵀ P_k L_kᵀ) + Σ_l τ_l S_l + t T + C ⪯ 0, of order N."""
 
     terms: Mapping[int, Term]
     T: Array
     C: Array | None = None
+    places: Sequence[int] = ()  # of the τ_l among all
+    S: Array | None = None  # (l, N, N)
+
+    def padded(self, N: int) -> "Bound":
+        """Return the same of a larger order: 0 ≤ 1 is added."""
+        more = N - len(self.T)
+        if not more:
+            return self
+        around, eye = ((0, more), (0, more)), np.diag(np.where(np.arange(N) < N - more, 0.0, -1.0))
+        terms = {
+            k: (np.pad(L, ((0, more), (0, 0))), np.pad(R, ((0, 0), (0, more)))) for k, (L, R) in self.terms.items()
+        }
+        C = np.asarray(eye if self.C is None else np.pad(self.C, around) + eye)
+        S = None if self.S is None else np.pad(self.S, ((0, 0), *around))
+        return Bound(terms, np.pad(self.T, around), C, self.places, S)
 
 
 class ChainMap(LinearMap):
-    """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, then t.
+    """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, the τ, then t.
 
     Asked for is the largest t, where tr P_0 = n unless there is a C; or, with a weight, the least tr W Σ P_k, t = 1.
     """
 
-    def __init__(self, bounds: Sequence[Bound], count: int, weight: Array | None = None) -> None:
-        n = len(bounds[0].T)
+    def __init__(self, bounds: Sequence[Bound], count: int, weight: Array | None = None, scalars: int = 0) -> None:
+        n = next(R.shape[0] for _, R in bounds[0].terms.values())
+        free, N = all(bound.C is None or not bound.C.any() for bound in bounds), max(len(bound.T) for bound in bounds)
+        bounds = [bound.padded(N) for bound in bounds]
         self.P, self.count, self.T = Triangle(n), count, np.array([bound.T for bound in bounds])
-        self.size = self.main = count * self.P.size + 1
-        self.blocks = Blocks([(len(bounds), n)])
-        self.constant = np.array([np.zeros((n, n)) if bound.C is None else bound.C for bound in bounds]).ravel()
+        self.first = count * self.P.size
+        self.size = self.main = self.first + scalars + 1
+        self.blocks = Blocks([(len(bounds), N)])
+        self.constant = np.array([np.zeros((N, N)) if bound.C is None else bound.C for bound in bounds]).ravel()
         self.rows = np.zeros((1, self.size))
         if weight is None:
             self.cost, self.values = np.append(np.zeros(self.size - 1), -1.0), np.array([float(n)])
             self.rows[0, : self.P.size] = self.P.row(np.eye(n))
-            if self.constant.any():
+            if not free:
                 self.rows, self.values = self.rows[:0], self.values[:0]
         else:
-            self.cost, self.values = np.append(np.tile(self.P.row(weight), count), 0.0), np.ones(1)
+            nothing = np.zeros(scalars + 1)
+            self.cost, self.values = np.append(np.tile(self.P.row(weight), count), nothing), np.ones(1)
             self.rows[0, -1] = 1.0
         self.places = [slice(k * self.P.size, (k + 1) * self.P.size) for k in range(count)]
-        self.of = list[tuple[IntArray, Array, Array]]()  # which inequalities have a matrix, L and R of each, (c, n, n)
+        self.of = list[tuple[IntArray, Array, Array]]()  # which inequalities have a matrix, L and R of each
         for k in range(count):
             at = [j for j, bound in enumerate(bounds) if k in bound.terms]
             L, R = (np.array([bounds[j].terms[k][side] for j in at]) for side in (0, 1))
             self.of.append((np.array(at), L, R))
+        having = [j for j, bound in enumerate(bounds) if len(bound.places)]
+        shape = len(having), len(bounds[having[0]].places) if having else 0
+        self.having = np.array(having, dtype=np.int64)  # which inequalities have some of the τ, and which: as many each
+        self.which = self.first + np.array([bounds[j].places for j in having], dtype=np.int64).reshape(shape)
+        self.S = np.array([bounds[j].S for j in having]).reshape(*shape, N, N)
 
     @cached_property
     def pairs(self) -> list[tuple[int, int, IntArray, IntArray]]:
@@ -73,19 +98,27 @@ class ChainMap(LinearMap):
         """Return the P_k of a vector."""
         return np.array([self.P.matrix(v[place]) for place in self.places])
 
+    def scalars(self, v: Array) -> Array:
+        """Return the τ of a vector."""
+        return v[self.first : -1]
+
     def apply(self, v: Array) -> Array:
         """Return A(v): the left-hand sides."""
         x = v[-1] * self.T
         for P, (at, L, R) in zip(self.matrices(v), self.of, strict=True):
             half = L @ P @ R
             x[at] += half + half.transpose(0, 2, 1)
+        x[self.having] += np.einsum("bp,bpij->bij", v[self.which], self.S)
         return np.asarray(x.ravel())
 
     def adjoint(self, z: Array) -> Array:
         """Return A*(Z): its product with v is Σ tr Z_j A_j(v)."""
         (Z,) = self.blocks.stacks(z)
         rows = [2 * self.P.row((R @ Z[at] @ L).sum(axis=0)) for at, L, R in self.of]
-        return np.concatenate([*rows, [np.vdot(Z, self.T)]])
+        found = np.concatenate([*rows, np.zeros(self.size - self.first)])
+        np.add.at(found, self.which, np.einsum("bij,bpij->bp", Z[self.having], self.S))
+        found[-1] = np.vdot(Z, self.T)
+        return found
 
     def normal(self, w: Array, H: Array) -> None:
         """Write the lower triangle of H with v'ᵀ H v = Σ tr A_j(v) W_j A_j(v') W_j."""
@@ -100,3 +133,17 @@ class ChainMap(LinearMap):
             whole = np.tensordot(second, first, axes=([0], [0]))  # (a, d, b, c)
             half = whole.transpose(0, 2, 1, 3)[low] + whole.transpose(2, 0, 1, 3)[low]
             H[self.places[k], self.places[other]] = 2 * (half + half.transpose(0, 2, 1))[:, *low]
+        if len(self.having):
+            self._fill_scalars(W[self.having, None], H)
+
+    def _fill_scalars(self, W: Array, H: Array) -> None:
+        """Write the rows of the τ but for what they have with t."""
+        turned = W @ self.S @ W
+        H[self.first : -1, :-1] = 0.0
+        for place, (at, L, R) in zip(self.places, self.of, strict=True):
+            _, one, two = np.intersect1d(self.having, at, return_indices=True)
+            X = R[two, None] @ turned[one] @ L[two, None]
+            rows = 2 * (X + X.transpose(0, 1, 3, 2))[..., self.P.rows, self.P.columns]
+            np.add.at(H[:, place], self.which[one], rows)
+        both = np.einsum("bpij,bqij->bpq", turned, self.S)
+        np.add.at(H, (self.which[:, :, None], self.which[:, None, :]), both)

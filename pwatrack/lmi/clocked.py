@@ -1,34 +1,41 @@
 """Forms that depend on a clock: switched linear systems that jump at the ticks of it (Allerhand and Shaked 2011).
 
-Between ticks z' = F(t) z with F(t) in the hull of F_i, at a tick z⁺ = J z with J in the hull of J_j; the period may
-have r parts, at whose ends but the last z⁺ = R z. With P(τ) linear between P_0 … P_N at knots δ apart in each part,
+Between ticks z' = F(t) z with F(t) in the hull of boxes F_i + U_i diag(ε) V_i, |ε_k| ≤ 1, at a tick z⁺ = J z with J in
+the hull of J_j; the period may have r parts, at whose ends but the last z⁺ = R z. With P(τ) and T(τ), diagonal, linear
+between P_0 … P_N and T_0 … T_N at knots δ apart in each part,
 
-    (P_{k+1} − P_k) / δ + F_iᵀ P_e + P_e F_i + 2 α P_e ≺ 0    for e = k and e = k + 1, all k, all i
+    (P_{k+1} − P_k) / δ + F_iᵀ P_e + P_e F_i + 2 α P_e + V_iᵀ T_e V_i + P_e U_i T_e⁻¹ U_iᵀ P_e ≺ 0
+        for e = k and e = k + 1, all k, all i
     Rᵀ P_0 R ≺ P_N of the part before,    J_jᵀ P_0 J_j ≺ P_N   from the first part to the last, for all j
 
-make zᵀ P(τ) z fall as e^(−2 α t), whatever the switching: on a segment its derivative is affine in P(τ) and in F, and
-J ↦ Jᵀ P_0 J is convex, so the ends and the vertices speak for all.
+make zᵀ P(τ) z fall as e^(−2 α t), whatever the switching: P U ε V + Vᵀ ε Uᵀ P ⪯ Vᵀ T V + P U T⁻¹ Uᵀ P for every such ε,
+and with that as a Schur complement the first is affine in P and T, so the ends of a segment speak for all of it;
+J ↦ Jᵀ P_0 J is convex, so the vertices do. Of a box without edges there is no T.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
-from pwatrack.ball_matrix import BallMatrix, absolute
-from pwatrack.lmi.clocked_forms import ClockedForms
+from pwatrack.arrays import Array
+from pwatrack.ball_matrix import BallMatrix, absolute, zero
+from pwatrack.lmi.clocked_forms import ClockedForms, Forms
 from pwatrack.lmi.exact import Packed, left_side, rounded_down, unsure
-from pwatrack.rational import Rational, beside, identity, is_positive_definite, number, scalar, stacked
+from pwatrack.lmi.norm import square_above
+from pwatrack.rational import Rational, beside, diagonal, identity, is_positive_definite, number, scalar, stacked
 
 _TRIED = (1.0, 0.99, 0.9, 0.5)  # shares of the rate that is looked for, until one is proved
 _BITS = (40, 80)  # of the entries of P_k
+_DIGITS = 6  # of the diagonals of T_k
 _LOOKS = 5  # at a rate, at most, once one is proved
 _SHARES = (0.9, 0.75, 0.5)  # of what parts by themselves reach: what is asked of the whole
 _MANY = 16  # vertices, from which on each look takes seconds
 _OF_MANY = (0.5,)  # what is asked then
 
+Knot = tuple[Packed, Sequence[float]]  # P_k and the diagonal of T_k
 Scaled = tuple[Rational, Sequence[Fraction]]  # a form, and about the roots of its diagonal
 
 
@@ -36,7 +43,7 @@ Scaled = tuple[Rational, Sequence[Fraction]]  # a form, and about the roots of i
 class Clocked:
     """A switched system with a clock, exact."""
 
-    F: Sequence[BallMatrix]  # what z obeys between ticks, (n, n) each, in 1/s
+    F: Sequence[BallMatrix]  # what z obeys between ticks: middles of boxes, (n, n) each, in 1/s
     J: Sequence[BallMatrix]  # what a tick makes of z, (n, n) each
     period: Fraction  # h in s
     parts: int = 1  # r, of equal length
@@ -45,6 +52,22 @@ class Clocked:
     # sizes of parts of z that hardly act on each other in a circle, one after the other; () if not known
     blocks: tuple[int, ...] = ()
     sizes: tuple[float, ...] = ()  # of z, in which a search counts it; () if not known
+    # of each box its edges, of as many: U_i, (n, p), and V_i, (p, n), exact; () if none has any
+    U: Sequence[BallMatrix] = ()
+    V: Sequence[BallMatrix] = ()
+
+    @property
+    def boxes(self) -> Iterator[tuple[BallMatrix, BallMatrix, BallMatrix]]:
+        """F_i, U_i and V_i."""
+        n = self.J[0].shape[0]
+        return zip(self.F, self.U or [zero(n, 0)] * len(self.F), self.V or [zero(0, n)] * len(self.F), strict=True)
+
+    @property
+    def vertices(self) -> Iterator[BallMatrix]:
+        """F_i + U_i diag(ε) V_i with all ε_k at 1 or −1: 2^p of each box."""
+        for F, U, V in self.boxes:
+            for signs in product((1, -1), repeat=V.shape[0]):
+                yield F + U @ BallMatrix(diagonal([Fraction(v) for v in signs])) @ V if signs else F
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +76,7 @@ class ClockedProof:
 
     P: tuple[Packed, ...]  # at the knots, those of the first part first
     rate: float  # α, a short decimal in 1/s
+    T: tuple[tuple[float, ...], ...]  # the diagonals at the knots, short decimals
 
 
 def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedProof | None:
@@ -70,7 +94,7 @@ def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedP
         (True, False)
     """
     found = looked_for(system, knots).at(rate)
-    return None if found is None else proved_forms(system, found.P, rate)
+    return None if found is None else proved_forms(system, found, rate)
 
 
 def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> ClockedProof | None:
@@ -89,7 +113,7 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
         return None
     if len(system.blocks) < 2:
         alone = program.fastest(program.most, _LOOKS)
-        return None if alone is None else proved_forms(system, alone.P, alone.rate)
+        return None if alone is None else proved_forms(system, alone, alone.rate)
     best = program.at(0.0)
     if best is None or not best.rate > 0:
         return None
@@ -100,42 +124,70 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
         for one in (*program.around(share * most), replace(program, near=best.P[0])):
             found = one.at(share * most)
             best = found if found is not None and found.rate > best.rate else best
-    return proved_forms(system, best.P, best.rate)
+    return proved_forms(system, best, best.rate)
 
 
-def proved_forms(system: Clocked, found: Sequence[Rational], rate: float) -> ClockedProof | None:
+def proved_forms(system: Clocked, found: Forms, rate: float) -> ClockedProof | None:
     """Return forms in short numbers that prove a rate, or a little less, or None."""
+    T = short_diagonals(found.T)
     for bits in _BITS:
-        P = tuple(Packed.of(P_k, bits=bits) for P_k in found)
+        P = tuple(Packed.of(P_k, bits=bits) for P_k in found.P)
         for share in _TRIED if rate else (1.0,):
             shown = rounded_down(rate * share, 6) if rate else 0.0
-            if proves(system, P, shown):
-                return ClockedProof(P=P, rate=shown)
+            if proves(system, P, T, shown):
+                return ClockedProof(P=P, T=T, rate=shown)
     return None
 
 
-def proves(system: Clocked, P: Sequence[Packed], rate: float) -> bool:
+def short_diagonals(T: Array) -> tuple[tuple[float, ...], ...]:
+    """Return numbers (knots, p) as short decimals."""
+    return tuple(tuple(float(f"{v:.{_DIGITS}g}") for v in row) for row in T.tolist())
+
+
+def knots_of(system: Clocked, P: Sequence[Packed], T: Sequence[Sequence[float]]) -> list[list[Knot]] | None:
+    """Return what stands at the knots of each part, all P ≻ 0 and T > 0; None where it is not so, or does not fit."""
+    N, p = len(P) // system.parts - 1, system.V[0].shape[0] if system.V else 0
+    if N < 1 or len(P) != system.parts * (N + 1) or len(T) != len(P):
+        return None
+    if any(len(row) != p or not all(v > 0 for v in row) for row in T):
+        return None
+    if not all(is_positive_definite(P_k.P) for P_k in P):
+        return None
+    knots = list(zip(P, T, strict=True))
+    return [knots[j : j + N + 1] for j in range(0, len(P), N + 1)]
+
+
+def proves(system: Clocked, P: Sequence[Packed], T: Sequence[Sequence[float]], rate: float) -> bool:
     """Say whether forms satisfy the inequalities, decided in fractions, for everything in the balls of F and J."""
-    N = len(P) // system.parts - 1
-    if N < 1 or len(P) != system.parts * (N + 1) or rate < 0 or not is_positive_definite(P[0].P):
+    parts, turned = knots_of(system, P, T), [F.transpose() for F in system.F]
+    if rate < 0 or parts is None:
         return False
-    slope, turned = number(Fraction(N * system.parts) / system.period), [F.transpose() for F in system.F]
-    parts = [P[j : j + N + 1] for j in range(0, len(P), N + 1)]
-    jumps = [(J, parts[0][0], parts[-1][-1]) for J in system.J]
-    for before, after in pairwise(parts):
+    jumps = [(J, P[0], P[-1]) for J in system.J]
+    for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
         assert system.between is not None
-        jumps.append((system.between, after[0], before[-1]))
+        jumps.append((system.between, after, before))
     ends = ((J, (after.P, after.scale), (before.P, before.scale)) for J, after, before in jumps)
     if not all(is_positive_definite(shrunk(*end)) for end in ends):
         return False
+    slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
     for part in parts:
         for one, other in pairwise(part):
-            rise = (other.P - one.P) * slope
-            for P_e in (one, other):
+            rise = (other[0].P - one[0].P) * slope
+            for P_e, T_e in (one, other):
                 decay = rise + scalar(2 * rate) * P_e.P
-                if not all(is_positive_definite(left_side(F, P_e) - decay) for F in turned):
-                    return False
-    return all(is_positive_definite(P_k.P) for P_k in P[1:])
+                for F, (_, U, V) in zip(turned, system.boxes, strict=True):
+                    more = decay + edges(BallMatrix(P_e.P) @ U, V.transpose(), T_e, P_e.scale)
+                    if not is_positive_definite(left_side(F, P_e) - more):
+                        return False
+    return True
+
+
+def edges(U: BallMatrix, V: BallMatrix, T: Sequence[float], unit: Sequence[Fraction]) -> Rational:
+    """Return V T Vᵀ + U T⁻¹ Uᵀ, which is above U ε Vᵀ + V ε Uᵀ for all diagonal ε between −I and I."""
+    if not T:
+        return identity(len(unit)) * 0
+    exact = [Fraction(repr(v)) for v in T]
+    return square_above(V, exact, unit) + square_above(U, [1 / v for v in exact], unit)
 
 
 def shrunk(J: BallMatrix, after: Scaled, before: Scaled) -> Rational:
@@ -157,6 +209,8 @@ def shrunk(J: BallMatrix, after: Scaled, before: Scaled) -> Rational:
 def looked_for(system: Clocked, knots: int) -> ClockedForms:
     """Return the program that looks for forms in floating point."""
     F, J = (np.array([X.floats for X in matrices]) for matrices in (system.F, system.J))
+    each = [(U.floats.reshape(len(F[0]), -1), V.floats.reshape(-1, len(F[0]))) for _, U, V in system.boxes]
+    U, V = (np.array(some) for some in zip(*each, strict=True))
     R = np.eye(F.shape[1]) if system.between is None else system.between.floats
     sizes, period = np.array(system.sizes or [1.0] * len(R)), float(system.period)
-    return ClockedForms(F=F, J=J, R=R, parts=system.parts, knots=knots, period=period, sizes=sizes)
+    return ClockedForms(F=F, U=U, V=V, J=J, R=R, parts=system.parts, knots=knots, period=period, sizes=sizes)

@@ -1,7 +1,7 @@
 """Clock-dependent forms looked for in floating point: what they have to satisfy is in `clocked`, and proved there.
 
-In coordinates in which Σ |z_k|² over the ticks of the mean of the vertices is I, which makes P of size 1; margins count
-in what a form loses in a period at the largest rate. Of many vertices few decide: those that the forms found so far do
+In coordinates in which Σ |z_k|² over the ticks of the mean of the boxes is I, which makes P of size 1; margins count
+in what a form loses in a period at the largest rate. Of many boxes few decide: those that the forms found so far do
 not satisfy are added, until all are satisfied.
 """
 
@@ -9,31 +9,28 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate, pairwise, product
 from typing import TypeVar
 
-import clarabel
 import numpy as np
-from scipy import sparse
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from pwatrack.arrays import Array, balancing, symmetric_part
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.chain_map import Bound, ChainMap, Term
-from pwatrack.lmi.cone_program import minimise, symmetric_of, upper
+from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.primal_dual import least
 
-_FIRST = 8  # vertices that are asked for at first, at each end of a segment; of fewer all
-_WORST = 4  # vertices that are added for each end of a segment where some are not satisfied
-_ROUNDS = 12  # in which vertices are added
-_HELD = 0.02  # of the margin that was found: what every other vertex is to keep
+_FIRST = 8  # boxes that are asked for at first, at each end of a segment; of fewer all
+_WORST = 4  # boxes that are added for each end of a segment where some are not satisfied
+_ROUNDS = 12  # in which boxes are added
+_HELD = 0.02  # of the margin that was found: what every other box is to keep
+_CORNERS = 6  # edges of a box of which all corners are looked at, for what no forms can do; of more so many at random
 _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not lose, if it does not grow
 _AGAIN = 2  # times that forms are looked for in coordinates of those that were found, before a larger rate is
 _AROUND = (1.0, 0.9)  # of a rate: what coordinates are of, in which forms for it are looked for too
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
 _GAP = 1e-2  # share of the margin that may be missed
-SMALL = 5  # order up to which Clarabel is quicker than our own method
 _OF_P = 0.01  # share of the margin that P_k ⪰ 0 is to keep
 
 Found = TypeVar("Found")
@@ -45,6 +42,7 @@ class Forms:
     """What was found."""
 
     P: list[Array]  # at the knots, (n, n) each
+    T: Array  # their diagonals, (knots, p)
     rate: float  # that they seem to prove, in 1/s
 
 
@@ -52,8 +50,10 @@ class Forms:
 class ClockedForms:
     """The program for one system."""
 
-    F: Array  # vertices of what z obeys between ticks, (v, n, n)
-    J: Array  # those of what a tick makes of it, (w, n, n)
+    F: Array  # middles of boxes of what z obeys between ticks, (v, n, n)
+    U: Array  # their edges, (v, n, p)
+    V: Array  # (v, p, n)
+    J: Array  # vertices of what a tick makes of it, (w, n, n)
     R: Array  # what the end of a part of the period makes of it, (n, n)
     parts: int  # as in `clocked`, as the next two
     knots: int
@@ -64,19 +64,40 @@ class ClockedForms:
 
     def part(self, where: slice) -> "ClockedForms":
         """Return the program for some entries of z, as if there were no others."""
-        F, J = (np.unique(X[:, where, where], axis=0) for X in (self.F, self.J))
-        return replace(self, F=F, J=J, R=self.R[where, where], sizes=self.sizes[where], near=None, asked={})
+        F, U, V = self.F[:, where, where], self.U[:, where], self.V[:, :, where]
+        acting = U.any(axis=(0, 1)) & V.any(axis=(0, 2))
+        R, J = self.R[where, where], np.unique(self.J[:, where, where], axis=0)
+        own = F if acting.any() else np.unique(F, axis=0)
+        U, V = U[: len(own), :, acting], V[: len(own), acting]
+        return replace(self, F=own, U=U, V=V, J=J, R=R, sizes=self.sizes[where], near=None, asked={})
+
+    def inside(self, L: Array, rate: float) -> "ClockedForms":
+        """Return the program for L z, falling at a rate less, with edges of u and v of one length."""
+        back = np.linalg.inv(L)
+        F, U, V = L @ (self.F + rate * np.eye(len(L))) @ back, L @ self.U, self.V @ back
+        longer = np.sqrt(np.linalg.norm(U, axis=1) / np.linalg.norm(V, axis=2)).mean(axis=0)
+        U, V = U / longer, V * longer[:, None]
+        return replace(self, F=F, U=U, V=V, J=L @ self.J @ back, R=L @ self.R @ back)
+
+    def longer(self, L: Array) -> Array:
+        """Return by how much u is longer than v there, (p,)."""
+        U, V = L @ self.U, self.V @ np.linalg.inv(L)
+        return np.asarray(np.sqrt(np.linalg.norm(U, axis=1) / np.linalg.norm(V, axis=2)).mean(axis=0))
 
     @cached_property
     def over(self) -> Array:
-        """What a period makes of z for each vertex, and for the mean of them, (v + 1, n, n)."""
-        F = np.append(self.F, [self.F.mean(axis=0)], axis=0)
+        """What a period makes of z for corners of the boxes, and for the mean of these, (v + 1, n, n)."""
+        p = self.U.shape[2]
+        random = np.random.default_rng(0).choice([-1.0, 1.0], (2**_CORNERS, p))
+        signs = np.array(list(product((-1.0, 1.0), repeat=p))) if p <= _CORNERS else random
+        corners = (self.F[:, None] + (self.U[:, None] * signs[:, None]) @ self.V[:, None]).reshape(-1, *self.R.shape)
+        F = np.append(corners, [self.F.mean(axis=0)], axis=0)
         flows = np.asarray(expm(F * (self.period / self.parts)))
         return np.asarray(flows @ np.linalg.matrix_power(self.R @ flows, self.parts - 1))
 
     @cached_property
     def most(self) -> float:
-        """No larger rate can be proved: what a vertex does by itself, in 1/s; −∞ where that is out of range."""
+        """No larger rate can be proved: what a corner does by itself, in 1/s; −∞ where that is out of range."""
         with np.errstate(all="ignore"):
             if not np.abs(self.over).max() < _GROWS:
                 return -np.inf
@@ -113,12 +134,22 @@ class ClockedForms:
         """How many knots there are."""
         return self.parts * (self.knots + 1)
 
-    def rises(self, segment: Segment, F: Array) -> dict[int, Term]:
-        """Return the terms of P_{k+1} − P_k + step (Fᵀ P_e + P_e F)."""
-        (k, after, e), eye = segment, np.eye(len(F))
-        terms = {k: (-eye / 2, eye), after: (eye / 2, eye)}
-        terms[e] = terms[e][0] + self.step * F.T, eye
-        return terms
+    @property
+    def scalars(self) -> int:
+        """How many entries all T have."""
+        return self.count * len(self.V[0])
+
+    def falls(self, segment: Segment, i: int, margin: Array) -> Bound:
+        """Return P_{k+1} − P_k + step (F_iᵀ P_e + P_e F_i + V_iᵀ T_e V_i + P_e U_i T_e⁻¹ U_iᵀ P_e) + t margin ⪯ 0."""
+        (k, after, e), (n, p), step = segment, self.U.shape[1:], self.step
+        first, nothing = np.eye(n, n + p), np.zeros((p, n))
+        L = {k: -np.eye(n) / 2, after: np.eye(n) / 2}
+        L[e] = L[e] + step * self.F[i].T
+        below = {j: step * self.U[i].T if j == e else nothing for j in L}
+        terms = {j: (np.vstack([X, below[j]]), first) for j, X in L.items()}
+        V, own = self.V[i] @ first, np.eye(p, n + p, n)
+        S = step * (V[:, :, None] * V[:, None, :] - own[:, :, None] * own[:, None, :])
+        return Bound(terms, first.T @ margin @ first, None, range(e * p, (e + 1) * p), S)
 
     @property
     def step(self) -> float:
@@ -144,25 +175,25 @@ class ClockedForms:
         if rate >= self.most:
             return None
         L = self.coordinates
-        back, weight = np.linalg.inv(L), np.eye(len(L)) * min(1.0, 2 * self.most * self.period)
-        F, J, R = (L @ X @ back for X in (self.F + rate * np.eye(len(L)), self.J, self.R))
+        weight, inside = np.eye(len(L)) * min(1.0, 2 * self.most * self.period), self.inside(L, rate)
+
         found = self.of_few(
-            lambda: self._solved(F, J, R, weight),
-            lambda found, s: _least(self.left(found[0], s, F) - _HELD * found[1] * self.share * weight),
+            lambda: inside.largest_margin(weight),
+            lambda found, s: inside.left(*found[:2], s) - _HELD * found[2] * self.share * weight,
             _WORST,
         )
         if found is None:
             return None
-        forms = [L.T @ P_k @ L for P_k in found[0]]
-        return Forms(forms, self.rate(forms))
+        forms, T = [L.T @ P_k @ L for P_k in found[0]], found[1] * self.longer(L) ** 2
+        return Forms(forms, T, self.rate(forms, T))
 
     def of_few(
-        self, solved: Callable[[], Found | None], least: Callable[[Found, Segment], Array], worst: int
+        self, solved: Callable[[], Found | None], left: Callable[[Found, Segment], Array], worst: int
     ) -> Found | None:
-        """Return what is found for the vertices that are asked for and does for all, or None.
+        """Return what is found for the boxes that are asked for and does for all, or None.
 
-        Those that it does for the least, so many at each end of a segment, are asked for, too: `least` is what is left
-        of the inequality of each vertex there.
+        Those that it does for the least, so many at each end of a segment, are asked for, too: `left` is what is left
+        of the inequality of each box there, (v, n, n).
         """
         first = np.unique(np.linspace(0, len(self.F) - 1, _FIRST).astype(int)).tolist()
         for segment in self.segments:
@@ -172,8 +203,8 @@ class ClockedForms:
             if found is None:
                 return None
             for segment, asked in self.asked.items():
-                left = least(found, segment)
-                new = [i for i in np.argsort(left)[:worst].tolist() if left[i] < 0 and i not in asked]
+                lowest = _least(left(found, segment))
+                new = [i for i in np.argsort(lowest)[:worst].tolist() if lowest[i] < 0 and i not in asked]
                 asked += new
                 added += len(new)
             if not added:
@@ -182,12 +213,12 @@ class ClockedForms:
 
     def solved(
         self, fixed: Sequence[Bound], bound: Callable[[Segment, int], Bound], gap: float, weight: Array | None = None
-    ) -> Array | None:
-        """Return P, (knots, n, n), with some bounds and those of the vertices that are asked for; see `ChainMap`."""
+    ) -> tuple[Array, Array] | None:
+        """Return P, (knots, n, n), and T with some bounds and those of the boxes that are asked for; see `ChainMap`."""
         bounds = [*fixed, *(bound(segment, i) for segment, some in self.asked.items() for i in some)]
-        chain = ChainMap(bounds, self.count, weight)
+        chain = ChainMap(bounds, self.count, weight, self.scalars)
         v = least(chain, gap=gap)
-        return None if v is None else chain.matrices(v)
+        return None if v is None else (chain.matrices(v), chain.scalars(v).reshape(self.count, -1))
 
     def fastest(self, most: float, looks: int) -> Forms | None:
         """Return forms that prove nearly the largest rate, below one that none can."""
@@ -227,19 +258,20 @@ class ClockedForms:
         """Of the margin, of one segment."""
         return 0.5 / (self.parts * self.knots)
 
-    def left(self, P: Sequence[Array] | Array, segment: Segment, F: Array) -> Array:
-        """Return −(P_{k+1} − P_k) − step (Fᵀ P_e + P_e F), (v, n, n)."""
+    def left(self, P: Sequence[Array] | Array, T: Array, segment: Segment) -> Array:
+        """Return −(P_{k+1} − P_k) − step (F_iᵀ P_e + P_e F_i + V_iᵀ T_e V_i + P_e U_i T_e⁻¹ U_iᵀ P_e), (v, n, n)."""
         k, after, e = segment
-        product = P[e] @ F
-        return np.asarray(P[k] - P[after] - self.step * (product + product.transpose(0, 2, 1)))
+        product, V, U = P[e] @ self.F, self.V.transpose(0, 2, 1), P[e] @ self.U
+        edges = V * T[e] @ self.V + U / T[e] @ U.transpose(0, 2, 1)
+        return np.asarray(P[k] - P[after] - self.step * (product + product.transpose(0, 2, 1) + edges))
 
-    def rate(self, P: Sequence[Array]) -> float:
+    def rate(self, P: Sequence[Array], T: Array) -> float:
         """Return the rate that forms prove, as far as floating point can tell; none is proved where it is negative."""
         try:
             back = [np.linalg.inv(np.linalg.cholesky(P_k)) for P_k in P]
         except np.linalg.LinAlgError:
             return -np.inf
-        sides = (back[s[2]] @ self.left(P, s, self.F) @ back[s[2]].T for s in self.segments)
+        sides = (back[s[2]] @ self.left(P, T, s) @ back[s[2]].T for s in self.segments)
         flows = min(float(_least(X).min()) for X in sides) / (2 * self.step)
         turned = (back[k] @ (P[k] - J.T @ P[after] @ J) @ back[k].T for k, after, J, _ in self.jumps(self.J, self.R))
         return min(flows, float(_least(self.counted(np.array(list(turned)))).min()))
@@ -248,16 +280,17 @@ class ClockedForms:
         """Return what ticks leave of the form beside rates: it need not lose there, if it does not grow."""
         return turned * (_STEEP / self.period)
 
-    def _solved(self, F: Array, J: Array, R: Array, weight: Array) -> tuple[Array, float] | None:
-        """Return P, (knots, n, n), with the largest margin for the vertices that are asked for; None without one."""
-        eye = np.eye(F.shape[1])
+    def largest_margin(self, weight: Array) -> tuple[Array, Array, float] | None:
+        """Return P, (knots, n, n), and T with the largest margin for the boxes that are asked for; None without one."""
+        eye = np.eye(self.F.shape[1])
         less = -eye / 2, eye
         bounds = [Bound({k: less}, _OF_P * weight) for k in range(self.count)]
-        jumps = self.jumps(J, R)
+        jumps = self.jumps(self.J, self.R)
         bounds += [Bound({before: less, after: (X.T / 2, X)}, share * weight) for before, after, X, share in jumps]
         asked = self.asked.items()
-        bounds += [Bound(self.rises(segment, F[i]), self.share * weight) for segment, some in asked for i in some]
-        return best_margin(bounds, self.count)
+        bounds += [self.falls(segment, i, self.share * weight) for segment, some in asked for i in some]
+        found = best_margin(bounds, self.count, self.scalars)
+        return None if found is None else (found[0], found[1].reshape(self.count, -1), found[2])
 
 
 def _least(X: Array) -> Array:
@@ -265,44 +298,18 @@ def _least(X: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh((X + X.transpose(0, 2, 1)) / 2)[:, 0])
 
 
-def best_margin(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None:
-    """Return P, (count, n, n), and the largest t > 0 that all bounds allow, P_0 of mean eigenvalue 1; or None.
+def best_margin(bounds: Sequence[Bound], count: int, scalars: int = 0) -> tuple[Array, Array, float] | None:
+    """Return P, (count, n, n), τ and the largest t > 0 that all bounds allow, P_0 of mean eigenvalue 1; or None.
 
     Example: −P_0 + t I ⪯ 0.
 
-        >>> _, t = best_margin([Bound({0: (-np.eye(2) / 2, np.eye(2))}, np.eye(2))], 1)
+        >>> _, _, t = best_margin([Bound({0: (-np.eye(2) / 2, np.eye(2))}, np.eye(2))], 1)
         >>> 0.98 < t < 1.01
         True
     """
-    found = _by_cones(bounds, count) if len(bounds[0].T) <= SMALL else _by_form(bounds, count)
-    return None if found is None or not found[1] > 0 or not np.isfinite(found[0]).all() else found
-
-
-def _by_form(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None:
-    """Ask our own method, with a T whose largest entry is 1: else multipliers are as large as a T is small."""
-    unit = max(float(np.abs(bound.T).max()) for bound in bounds)
-    chain = ChainMap([replace(bound, T=bound.T / unit) for bound in bounds], count)
+    unit = max(float(np.abs(bound.T).max()) for bound in bounds)  # else multipliers are as large as a T is small
+    chain = ChainMap([replace(bound, T=bound.T / unit) for bound in bounds], count, None, scalars)
     v = least(chain, gap=_GAP)
-    return None if v is None else (chain.matrices(v), float(v[-1]) / unit)
-
-
-def _by_cones(bounds: Sequence[Bound], count: int) -> tuple[Array, float] | None:
-    """Ask Clarabel, in its form: P_0, P_1, … as `upper` has them, then t."""
-    n = len(bounds[0].T)
-    unit = upper(np.eye(n))
-    size = len(unit)
-    basis = symmetric_of(np.eye(size), n)  # of size 1 each
-    images = list[dict[int, Array]]()
-    for bound in bounds:
-        halves = {k: L @ basis @ R for k, (L, R) in bound.terms.items()}
-        images.append({k: upper(symmetric_part(X)).T for k, X in halves.items()} | {count: upper(bound.T)[:, None]})
-    images.append({0: np.outer(unit, unit) / n})  # the mean eigenvalue of P_0, at most 1
-    blocks = [[sparse.coo_matrix(parts[k]) if k in parts else None for k in range(count + 1)] for parts in images]
-    G = sparse.bmat(blocks, format="csc")
-    cones = [clarabel.PSDTriangleConeT(n)] * len(images)
-    cost, sides = np.append(np.zeros(count * size), -1.0), np.append(np.zeros(len(bounds) * size), unit)
-    try:
-        x = np.array(minimise(cost, G, sides, cones, _GAP).x)
-    except ArithmeticError:
+    if v is None or not np.isfinite(v).all() or not v[-1] > 0:
         return None
-    return np.tensordot(x[:-1].reshape(count, size), basis, 1), float(x[-1])
+    return chain.matrices(v), chain.scalars(v), float(v[-1]) / unit

@@ -30,8 +30,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.chain_map import Bound
-from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves
-from pwatrack.lmi.clocked_forms import Segment
+from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves, short_diagonals
 from pwatrack.lmi.ellipsoid import reach_of, short_weights
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.norm import square_above
@@ -44,7 +43,7 @@ _GAP = 1e-3  # share of the scale that may be missed
 _BITS = (40, 80)  # of the entries of P_k
 _INSIDE = 1e-5  # by which P is made smaller, so that the starts are inside
 _ABOVE = 1e-6  # by which a size is more than floating point says
-_WORST = 4  # vertices that are added at each end of a segment where some are not satisfied
+_WORST = 4  # boxes that are added at each end of a segment where some are not satisfied
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +51,7 @@ class ClockedRegion:
     """What is proved above, exactly; no weights where it is from every start."""
 
     P: tuple[Packed, ...]  # at the knots, those of the first part first
+    T: tuple[tuple[float, ...], ...]  # the diagonals there, as in `clocked`
     H: Array  # (m, n), decimals
     weights: tuple[float, ...]  # w_k, short decimals; one for each column of G
     sizes: tuple[float, ...]  # of H_j z where V ≤ 1 before a tick; all 0 where H = 0
@@ -100,7 +100,11 @@ class SaturatedTicks:
         """
         m, n = self.D.shape
         proof = clocked_proof(self.limited(BallMatrix.of(np.zeros((m, n)), (m, n))), knots=self.knots)
-        return None if proof is None else ClockedRegion(P=proof.P, H=np.zeros((m, n)), weights=(), sizes=(0.0,) * m)
+        return (
+            None
+            if proof is None
+            else ClockedRegion(P=proof.P, T=proof.T, H=np.zeros((m, n)), weights=(), sizes=(0.0,) * m)
+        )
 
     def around(self, G: Array, room: Array, H: Array, weights: Array) -> ClockedRegion | None:
         """Return a region of a large multiple of starts G ζ, |ζ_k| ≤ 1, if one is proved; its sizes say of which.
@@ -125,43 +129,40 @@ class SaturatedTicks:
             found = self._sought(system, G / np.sqrt(few), H / np.where(room > 0, room, np.inf)[:, None], decay)
             if found is None:
                 continue
+            T = short_diagonals(found[1] * (1 - _INSIDE))
             for bits in _BITS:
-                P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found)
-                if _starts_inside(P[-1], G, few) and proves(system, P, 0.0):
+                P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found[0])
+                if _starts_inside(P[-1], G, few) and proves(system, P, T, 0.0):
                     sizes = tuple(_size_above(P[-1], row) for row in H)
                     if all(is_positive_definite(_within(P[-1], exactly, j, size)) for j, size in enumerate(sizes)):
-                        return ClockedRegion(P=P, H=H, weights=few, sizes=sizes)
+                        return ClockedRegion(P=P, T=T, H=H, weights=few, sizes=sizes)
         return None
 
-    def _sought(self, system: Clocked, G: Array, rows: Array, decay: float) -> list[Array] | None:
-        """Return P at the knots, in floating point: with Gᵀ P_N G ⪯ I and rowsᵀ rows ⪯ P_N / t for the largest t.
+    def _sought(self, system: Clocked, G: Array, rows: Array, decay: float) -> tuple[list[Array], Array] | None:
+        """Return P and T at the knots, in floating point: with Gᵀ P_N G ⪯ I, rowsᵀ rows ⪯ P_N / t for the largest t.
 
         In coordinates in which the loop without limits, starts and rows are of size 1.
         """
-        clock, L = looked_for(system, self.knots), np.linalg.cholesky(self.near).T
+        clock, L = looked_for(system, self.knots), np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64)
         values, V = np.linalg.eigh(L @ G @ G.T @ L.T)
         size = float(np.sqrt(values[-1]))
         L = L / size
         back, rate = np.linalg.inv(L), decay * self.rate
-        F, R, rows = L @ (clock.F + rate * np.eye(len(L))) @ back, L @ clock.R @ back, rows @ back
-        J = L @ clock.J @ back * np.exp(rate * clock.period / 4)
+        inside, rows = clock.inside(L, rate), rows @ back
         starts, unit = V * np.sqrt(np.maximum(values, 0.0)) / size, float(np.linalg.norm(rows, axis=1).max())
-        rows, eye, last = rows / unit, np.eye(len(R)), clock.count - 1
+        rows, eye, last = rows / unit, np.eye(len(L)), clock.count - 1
         less, nothing = (-eye / 2, eye), np.zeros_like(eye)
         fixed = [Bound({k: less}, nothing, _LEAST * eye) for k in range(clock.count)]
         fixed.append(Bound({last: (starts.T / 2, starts)}, nothing, -eye))
         fixed += [Bound({last: less}, np.outer(row, row)) for row in rows[rows.any(axis=1)]]
-        jumps = clock.jumps(J, R)
+        jumps = inside.jumps(inside.J * np.exp(rate * clock.period / 4), inside.R)
         fixed += [Bound({before: less, after: (X.T / 2, X)}, nothing) for before, after, X, _ in jumps]
-
-        def solved() -> Array | None:
-            return clock.solved(fixed, lambda segment, i: Bound(clock.rises(segment, F[i]), nothing), _GAP)
-
-        def lowest(P: Array, segment: Segment) -> Array:
-            return np.asarray(np.linalg.eigvalsh(clock.left(P, segment, F))[:, 0])
-
-        found = clock.of_few(solved, lowest, _WORST)
-        return None if found is None else [L.T @ P @ L for P in found]
+        found = inside.of_few(
+            lambda: inside.solved(fixed, lambda segment, i: inside.falls(segment, i, nothing), _GAP),
+            lambda found, segment: inside.left(*found, segment),
+            _WORST,
+        )
+        return None if found is None else ([L.T @ P @ L for P in found[0]], found[1] * clock.longer(L) ** 2)
 
 
 def _starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:

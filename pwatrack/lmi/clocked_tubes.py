@@ -1,19 +1,20 @@
 """What a bounded scalar can do to a switched system with a clock: tubes that depend on the time since a tick.
 
 Let z be as in `clocked`, and driven by a scalar |d| ≤ 1, z' = F(t) (z + E d) + G d between ticks, or z⁺ = J z + Γ d at
-them, (J, Γ) in the hull of (J_j, Γ_j). With Q(τ) linear between Q_0 … Q_N ≻ 0 at knots δ apart in each part of the
-period, and g_i = F_i E + G,
+them, (J, Γ) in the hull of (J_j, Γ_j). With Q(τ) and T(τ), diagonal, linear between Q_0 … Q_N ≻ 0 and T_0 … T_N at
+knots δ apart in each part of the period, and q_i = V_i E, g_i = F_i E + G + Q_e V_iᵀ T_e⁻¹ q_i,
 
-    −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i g_iᵀ / a ≺ 0    for e = k and e = k + 1, all k, all i
+    −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i g_iᵀ / (a − q_iᵀ T_e⁻¹ q_i)
+        + U_i T_e U_iᵀ + Q_e V_iᵀ T_e⁻¹ V_i Q_e ≺ 0    for e = k and e = k + 1, all k, all boxes i
     R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ_j Γ_jᵀ / b ≺ Q_0 of the first, for all j
 
 V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 − b) V + b d² at them; what acts only at one of both has
-a = 0 or b = 0 at the other, without the last term. So from z = 0 always V ≤ 1, from everywhere V ends below 1, and
-|c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in `docs/theory/beyond.md`).
+a = 0 or b = 0 at the other, without the terms with g and q. So from z = 0 always V ≤ 1, from everywhere V ends below 1,
+and |c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in `docs/theory/beyond.md`).
 
-A tube of what is summed, for a d that is seldom anything but 0, has in place of the last term between ticks
+A tube of what is summed, for a d that is seldom anything but 0, has in place of the term with g
 
-    g_i g_iᵀ ≺ Q_e    for all knots e, all i
+    g gᵀ ≺ Q_e    for all knots e, all g = (F_i + U_i diag(ε) V_i) E + G with ε_k at 1 or −1
 
 and V^½' ≤ −(a / 2) V^½ + |d|: V^½ ends below the integral of |d| with weights that fall as e^(−a t / 2).
 """
@@ -29,15 +30,15 @@ import numpy as np
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.lmi.chain_map import Bound
-from pwatrack.lmi.clocked import Clocked, looked_for, shrunk
+from pwatrack.lmi.clocked import Clocked, Knot, edges, knots_of, looked_for, short_diagonals, shrunk
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
 from pwatrack.lmi.norm import sizes_in, square_above
-from pwatrack.rational import Rational, floats, is_positive_definite, number, scalar
+from pwatrack.rational import Rational, floats, fraction_of, is_positive_definite, number, rational, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
 _GAP = 1e-3  # share of the cost that may be missed
-_WORST = 8  # vertices that are added at each end of a segment where some are not satisfied
+_WORST = 8  # boxes that are added at each end of a segment where some are not satisfied
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
 
@@ -55,50 +56,53 @@ class TubeProgram:
     knots: int  # segments of each part
 
     def smallest(
-        self, g: Array, kicks: Array, rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool
-    ) -> list[Array] | None:
-        """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ; None where none is found.
+        self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool
+    ) -> tuple[list[Array], Array] | None:
+        """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ, and T; None where none is found.
 
         Args:
-            g: What drives z' at each vertex, (v, n).
-            kicks: Γ_j, (w, n).
+            drive: How d acts.
             rows, weights: c, (s, n), and of each, (s,).
             a, b: As above.
             slack: Share of the size of what drives by which inequalities are to hold.
             summed: Whether d is.
         """
-        L = np.linalg.cholesky(self.near).T
-        back, eye = np.linalg.inv(L), np.eye(len(L))
-        F, J = (np.array([L @ X.floats @ back for X in some]) for some in (self.system.F, self.system.J))
-        driving, kicking = g @ L.T / np.sqrt(1.0 if summed else a or np.inf), kicks @ L.T / np.sqrt(b or np.inf)
-        size = max(float((driving**2).max()), float((kicking**2).max()))
+        L, system = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system
+        inside, back, eye = self.clock.inside(L, a / 2), np.linalg.inv(L), np.eye(len(L))
+        ticks = [np.zeros(len(L))] * len(inside.J) if drive.ticks is None else [X.floats[:, 0] for X in drive.ticks]
+        holding = L @ np.array([g.floats[:, 0] for g in drive.held_by(system)]).T
+        kicking = np.array(ticks) @ L.T / np.sqrt(b or np.inf)
+        driving = holding if summed else holding / np.sqrt(a or np.inf)
+        size = max(float((driving**2).sum(axis=0).max()), float((kicking**2).sum(axis=1).max()))
         if not 0 < size < np.inf:
             return None
-        W = (rows @ back).T * weights @ (rows @ back) + _FADING * eye
-        rest = slack * eye
-        squares = rest + driving[:, :, None] * driving[:, None, :] / size
-        pushed = np.tile(a * rest, (len(F), 1, 1)) if summed else squares
-        holding = np.unique(squares, axis=0) if summed else squares[:0]
-        between, count = self.system.between, self.clock.count
-        R = eye if between is None else L @ between.floats @ back
-        fixed = [Bound({k: (-eye / 2, eye)}, X) for X in holding for k in range(count)]
-        fixed += [_kept(j - 1, j, R, eye, rest) for j in range(self.knots + 1, count, self.knots + 1)]
-        for J_j, kick in zip(J, kicking, strict=True):
+        W, rest = (rows @ back).T * weights @ (rows @ back) + _FADING * eye, slack * eye
+        fixed = [
+            Bound({k: (-eye / 2, eye)}, rest + np.outer(g, g) / size)
+            for g in (np.unique(holding.T, axis=0) if summed else ())
+            for k in range(inside.count)
+        ]
+        fixed += [_kept(j - 1, j, inside.R, eye, rest) for j in range(self.knots + 1, inside.count, self.knots + 1)]
+        for J_j, kick in zip(inside.J, kicking, strict=True):
             left = J_j / np.sqrt(1 - b)
-            fixed.append(_kept(count - 1, 0, left, self._seen(left), rest + np.outer(kick, kick) / size))
-        F, step = F + a / 2 * eye, self.clock.step
-
-        def solved() -> Array | None:
-            return self.clock.solved(fixed, lambda s, i: _left(s, step * F[i], step * pushed[i]), _GAP, W / count)
-
-        def lowest(Q: Array, segment: Segment) -> Array:
-            k, after, e = segment
-            product = F @ Q[e]
-            left = Q[after] - Q[k] - step * (product + product.transpose(0, 2, 1) + pushed)
-            return np.asarray(np.linalg.eigvalsh(left)[:, 0])
-
-        found = self.clock.of_few(solved, lowest, _WORST)
-        return None if found is None else [size * back @ Q @ back.T for Q in found]
+            fixed.append(_kept(inside.count - 1, 0, left, self._seen(left), rest + np.outer(kick, kick) / size))
+        acting = not (summed or drive.ticks is not None)
+        push = _Push(
+            clock=inside,
+            g=drive.middles(system) @ L.T / np.sqrt(size) * acting,
+            q=inside.V @ L @ drive.held.floats[:, 0] / np.sqrt(size) * acting,
+            a=a,
+            rest=(a if summed else 1.0) * rest,
+        )
+        found = self.clock.of_few(
+            lambda: inside.solved(fixed, push.bound, _GAP, W / inside.count),
+            lambda found, segment: push.left(*found, segment),
+            _WORST,
+        )
+        if found is None:
+            return None
+        Q, T = found
+        return [size * back @ Q_k @ back.T for Q_k in Q], size * T / self.clock.longer(L) ** 2
 
     @cached_property
     def clock(self) -> ClockedForms:
@@ -116,12 +120,45 @@ class TubeProgram:
         return np.asarray(U.T / np.sqrt(np.clip(s, self.most * self.clock.period, 1.0))[:, None])
 
 
-def _left(segment: Segment, F: Array, pushed: Array) -> Bound:
-    """Return −(Q_{k+1} − Q_k) + F Q_e + Q_e Fᵀ + pushed ⪯ 0."""
-    (k, after, e), eye = segment, np.eye(len(F))
-    terms = {k: eye / 2, after: -eye / 2}
-    terms[e] = terms[e] + F
-    return Bound({j: (L, eye) for j, L in terms.items()}, pushed)
+@dataclass(frozen=True, kw_only=True)
+class _Push:
+    """What is asked of a tube between ticks, in floating point."""
+
+    clock: ClockedForms  # with a / 2 in F
+    g: Array  # what drives z' at the middles, (v, n); 0 where nothing does
+    q: Array  # what of d the edges see, (v, p)
+    a: float
+    rest: Array  # what is to be left, (n, n)
+
+    def bound(self, segment: Segment, i: int) -> Bound:
+        """Return [D Q + rest + U T Uᵀ, g, Q Vᵀ; ., −a, qᵀ; ., ., −T] ⪯ 0; without q g gᵀ / a stands in the first."""
+        (k, after, e), (n, p), step, clock = segment, self.clock.U.shape[1:], self.clock.step, self.clock
+        more = int(self.q.any())
+        N, C = n + more + p, np.zeros((n + more + p,) * 2)
+        first, own, eye = np.eye(n, N), np.eye(p, N, n + more), np.eye(n)
+        L = {k: eye / 2, after: -eye / 2}
+        L[e] = L[e] + step * clock.F[i]
+        below = {j: step * clock.V[i] if j == e else np.zeros((p, n)) for j in L}
+        terms = {j: (np.vstack([X, np.zeros((more, n)), below[j]]), first) for j, X in L.items()}
+        C[:n, :n] = step * self.rest
+        if more:
+            C[:n, n], C[n, n], C[n, n + 1 :] = step * self.g[i], -step * self.a, step * self.q[i]
+            C = np.triu(C) + np.triu(C, 1).T
+        elif self.a:
+            C[:n, :n] += step * np.outer(self.g[i], self.g[i]) / self.a
+        U = clock.U[i].T @ first
+        S = step * (U[:, :, None] * U[:, None, :] - own[:, :, None] * own[:, None, :])
+        return Bound(terms, C, None, range(e * p, (e + 1) * p), S)
+
+    def left(self, Q: Array, T: Array, segment: Segment) -> Array:
+        """Return what is to be positive semidefinite of each box, (v, n, n)."""
+        (k, after, e), clock = segment, self.clock
+        product, seen = clock.F @ Q[e], Q[e] @ clock.V.transpose(0, 2, 1)
+        edges = clock.U * T[e] @ clock.U.transpose(0, 2, 1) + seen / T[e] @ seen.transpose(0, 2, 1)
+        g, a = self.g + (seen @ (self.q / T[e])[..., None])[..., 0], self.a - (self.q**2 / T[e]).sum(axis=1)
+        pushed = g[:, :, None] * g[:, None, :] / np.where(a > 0, a, np.inf if not self.a else 1e-300)[:, None, None]
+        total = product + product.transpose(0, 2, 1) + edges + pushed + self.rest
+        return np.asarray(Q[after] - Q[k] - clock.step * total)
 
 
 def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
@@ -137,6 +174,22 @@ class Drive:
     between: BallMatrix  # G, (n, 1)
     ticks: Sequence[BallMatrix] | None = None  # Γ_j, (n, 1), one for each J_j; None where it acts between ticks
 
+    def middles(self, system: Clocked) -> Array:
+        """Return F_i E + G, (v, n)."""
+        return np.array([(F @ self.held + self.between).floats[:, 0] for F in system.F])
+
+    def held_by(self, system: Clocked) -> list[BallMatrix]:
+        """Return what d may add to z', at all corners of the boxes, (n, 1) each."""
+        found = list[BallMatrix]()
+        for F, U, V in system.boxes:
+            each, q = [F @ self.held + self.between], V @ self.held
+            for k in range(q.shape[0]):
+                if q.centre[k, 0]:
+                    edge = U.part(range(U.shape[0]), [k]).times(fraction_of(q.centre[k, 0]))
+                    each = [g + side for g in each for side in (edge, edge.times(Fraction(-1)))]
+            found += each
+        return different(found)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Tube:
@@ -146,6 +199,7 @@ class Tube:
     a: float  # in 1/s, a short decimal; 0 where d acts at ticks
     b: float  # a short decimal; 0 where d acts between ticks
     sizes: tuple[float, ...]  # one for each c, rounded up
+    T: tuple[tuple[float, ...], ...]  # the diagonals at the knots, short decimals
     summed: bool = False  # whether it is one of what is summed
 
     def spread(self, rows: Array) -> Array:
@@ -180,53 +234,75 @@ def tube(
     a, b = decay, 0.0
     if ticks is not None:
         a, b = 0.0, rounded_down(-float(np.expm1(-decay * float(system.period))), 3)
-    g = np.array([(F @ driven.held + driven.between).floats[:, 0] for F in system.F])
-    kicks = np.array([np.zeros(g.shape[1])] * len(system.J) if ticks is None else [X.floats[:, 0] for X in ticks])
     for slack in _SLACKS:
-        found = program.smallest(g, kicks, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
+        found = program.smallest(driven, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
         if found is None:
             return None
+        T = short_diagonals(found[1])
         for bits in _BITS:
-            Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found)
-            if contains(system, driven, Q, a, b, summed=summed):
+            Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found[0])
+            if contains(system, driven, Q, T, a, b, summed=summed):
                 sizes = zip(*(sizes_in(Q_k.P, rows) for Q_k in Q), strict=True)
-                return Tube(Q=Q, a=a, b=b, sizes=tuple(map(max, sizes)), summed=summed)
+                return Tube(Q=Q, T=T, a=a, b=b, sizes=tuple(map(max, sizes)), summed=summed)
     return None
 
 
-def contains(system: Clocked, driven: Drive, Q: Sequence[Packed], a: float, b: float, *, summed: bool = False) -> bool:
+def contains(
+    system: Clocked,
+    driven: Drive,
+    Q: Sequence[Packed],
+    T: Sequence[Sequence[float]],
+    a: float,
+    b: float,
+    *,
+    summed: bool = False,
+) -> bool:
     """Say whether Q satisfy the inequalities, decided in fractions, for everything in the balls; a, b as they print."""
-    N = len(Q) // system.parts - 1
-    if N < 1 or len(Q) != system.parts * (N + 1) or not all(is_positive_definite(Q_k.P) for Q_k in Q):
+    parts, pushes = knots_of(system, Q, T), a and not summed
+    if parts is None or not all(map(is_positive_definite, _jumps(system, driven, parts, Fraction(repr(b))))):
         return False
-    parts = [Q[j : j + N + 1] for j in range(0, len(Q), N + 1)]
-    if not all(map(is_positive_definite, _jumps(system, driven, parts, Fraction(repr(b))))):
-        return False
-    slope = number(Fraction(N * system.parts) / system.period)
-    columns = [F @ driven.held + driven.between for F in system.F]
-    holding = different(columns) if summed else []
+    holding = driven.held_by(system) if summed else []
     left = (Q_k.P - square_above(column, [Fraction(1)], Q_k.scale) for column in holding for Q_k in Q)
     if not all(map(is_positive_definite, left)):
         return False
+    slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
     for part in parts:
         for one, other in pairwise(part):
-            for Q_e in (one, other):
-                rest = scalar(a) * Q_e.P - (other.P - one.P) * slope
-                for F, column in zip(system.F, columns, strict=True):
-                    push = a and not summed
-                    pushed = rest + square_above(column, [1 / Fraction(repr(a))], Q_e.scale) if push else rest
-                    if not is_positive_definite(left_side(F, Q_e) - pushed):
+            fall = (one[0].P - other[0].P) * slope
+            for Q_e, T_e in (one, other):
+                rest = fall + scalar(a) * Q_e.P
+                for F, U, V in system.boxes:
+                    seen = BallMatrix(Q_e.P) @ V.transpose()
+                    more = rest + edges(seen, U, T_e, Q_e.scale)
+                    if pushes:
+                        pushed = _pushed(F @ driven.held + driven.between, seen, V @ driven.held, T_e, a)
+                        if pushed is None:
+                            return False
+                        more += square_above(*pushed, Q_e.scale)
+                    if not is_positive_definite(left_side(F, Q_e) - more):
                         return False
     return True
 
 
-def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Packed]], b: Fraction) -> Iterator[Rational]:
+def _pushed(
+    g: BallMatrix, seen: BallMatrix, q: BallMatrix, T: Sequence[float], a: float
+) -> tuple[BallMatrix, list[Fraction]] | None:
+    """Return g + Q Vᵀ T⁻¹ q and 1 / (a − qᵀ T⁻¹ q); None where that is not positive."""
+    shares = [fraction_of(v) / Fraction(repr(t)) for v, t in zip(q.centre.entries(), T, strict=True)]
+    left = Fraction(repr(a)) - sum((fraction_of(v) * w for v, w in zip(q.centre.entries(), shares, strict=True)), 0)
+    if left <= 0:
+        return None
+    column = BallMatrix(rational([[v] for v in shares], (len(shares), 1)))
+    return g + seen @ column, [1 / left]
+
+
+def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Knot]], b: Fraction) -> Iterator[Rational]:
     """Yield what is to be positive definite at ticks and at the ends of parts."""
-    first, last = parts[0][0], parts[-1][-1]
+    (first, _), (last, _) = parts[0][0], parts[-1][-1]
     kicks: Sequence[BallMatrix | None] = driven.ticks or [None] * len(system.J)
     for J, kick in zip(system.J, kicks, strict=True):
         kicked = first.P if kick is None else first.P - square_above(kick, [1 / b], first.scale)
         yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
-    for before, after in pairwise(parts):
+    for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
         assert system.between is not None
-        yield shrunk(system.between.transpose(), (before[-1].P, before[-1].scale), (after[0].P, after[0].scale))
+        yield shrunk(system.between.transpose(), (before.P, before.scale), (after.P, after.scale))

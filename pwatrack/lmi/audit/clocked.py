@@ -6,15 +6,21 @@ from typing import Any
 
 from .balls import Ball, enlarge, falls, sizes
 from .bounds import Loop
+from .boxes import squares
 from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
 from .plant import AuditedPlant
-from .reading import number, packed
+from .reading import matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
-SAMPLED = of(ROWS, "K M rows") | of(NUMBER, "sample_time jitter rate") | of(WHOLE, "substeps delay") | {"P": [PACKED]}
+SAMPLED = (
+    of(ROWS, "K M rows")
+    | of(NUMBER, "sample_time jitter rate")
+    | of(WHOLE, "substeps delay")
+    | {"P": [PACKED], "T": ROWS}
+)
 SHAPE = {"sampled": (None, SAMPLED)}
-Form = tuple[Matrix, list[Fraction]]  # and about the roots of its diagonal
+Knot = tuple[Matrix, list[Fraction], list[Fraction]]  # a form, about the roots of its diagonal, the diagonal of T
 
 
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
@@ -26,35 +32,48 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
     errors = AuditedErrors(content, loop, predicted(whole))
-    faults = growing(errors, content["P"], errors.ticks, rate)
+    faults = growing(errors, content, errors.ticks, rate)
     said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(errors.flows)} flows"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(content['P'])} knots"]
 
 
-def runs_of(errors: AuditedErrors, P: Any, fault: str) -> list[list[Form]]:
-    """Return the forms at the knots of each substep."""
-    forms = [packed(P_k) for P_k in P]
+def runs_of(errors: AuditedErrors, P: Any, T: Any, fault: str) -> list[list[Knot]]:
+    """Return what stands at the knots of each substep."""
+    forms, diagonals = [packed(P_k) for P_k in P], matrix(T)
     knots, rest = divmod(len(forms), errors.parts)
-    if rest or knots < 2 or any(len(form) != errors.order for form, _ in forms):
+    if rest or knots < 2 or any(len(form) != errors.order for form, _ in forms) or len(diagonals) != len(forms):
         raise AuditFault(fault)
-    return [forms[j : j + knots] for j in range(0, len(forms), knots)]
+    if any(len(row) != len(errors.flows[0][2]) or not all(t > 0 for t in row) for row in diagonals):
+        raise AuditFault(fault)
+    each = [(*form, row) for form, row in zip(forms, diagonals, strict=True)]
+    return [each[j : j + knots] for j in range(0, len(each), knots)]
 
 
-def growing(errors: AuditedErrors, P: Any, ticks: list[Ball], rate: Fraction) -> list[str]:
+def growing(errors: AuditedErrors, content: Any, ticks: list[Ball], rate: Fraction) -> list[str]:
     """Return what is wrong with forms at knots that are to fall at a rate between ticks, and to shrink at these."""
-    runs = runs_of(errors, P, "the forms of the sampled loop are not those of its knots")
-    sound = all(definite(form) for run in runs for form, _ in run)
+    runs = runs_of(errors, content["P"], content["T"], "the forms of the sampled loop are not those of its knots")
+    sound = all(definite(form) for run in runs for form, *_ in run)
     faults = [] if sound else ["a form is not positive definite"]
-    jumps = (shrinks(tick, runs[0][0], runs[-1][-1]) for tick in ticks)
+    jumps = (shrinks(tick, runs[0][0][:2], runs[-1][-1][:2]) for tick in ticks)
     faults += [] if all(jumps) else ["a tick makes its form grow"]
-    ends = (shrinks(errors.substep, after[0], before[-1]) for before, after in pairwise(runs))
+    ends = (shrinks(errors.substep, after[0][:2], before[-1][:2]) for before, after in pairwise(runs))
     faults += [] if all(ends) else ["the end of a substep makes its form grow"]
     for run in runs:
         for one, other in pairwise(run):
             rise = times(added(other[0], one[0], -1), (len(run) - 1) * errors.parts / errors.period)
-            if not all(falls(F.T, *form, rise, rate=rate) for form in (one, other) for F in errors.flows):
+            if not all(falling(errors, knot, rise, rate) for knot in (one, other)):
                 faults.append("its form does not fall fast enough between ticks")
     return faults
+
+
+def falling(errors: AuditedErrors, knot: Knot, rise: Matrix, rate: Fraction) -> bool:
+    """Decide that a form that rises by so much falls in all boxes."""
+    P, powers, T = knot
+    for F, U, V in errors.flows:
+        more = squares(product(P, U), V, T) if T else []
+        if not falls(F.T, P, powers, added(rise, more) if more else rise, rate=rate):
+            return False
+    return True
 
 
 def predicted(whole: Any) -> AuditedPlant | None:
@@ -63,7 +82,7 @@ def predicted(whole: Any) -> AuditedPlant | None:
     return None if split is None or split["observer_runs"] == "merged cells" else AuditedPlant(split["plant"])
 
 
-def shrinks(jump: Ball, after: Form, before: Form) -> bool:
+def shrinks(jump: Ball, after: tuple[Matrix, list[Fraction]], before: tuple[Matrix, list[Fraction]]) -> bool:
     """Decide J^T P_after J < P_before for all J in a ball.
 
     With J + E, |E| <= R, it is more by E^T P J + J^T P E + E^T P E, in size at most R^T (|P J| + |P| R / 2) and that

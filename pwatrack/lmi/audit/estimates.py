@@ -68,7 +68,7 @@ class Estimates:
         everywhere = plant.A if plant.elements is None else plant.elements.fields(plant.elements.slopes)[0]
         outer = outermost(plant.A)
         self.cells = [self.law(A) for _, A in unlike(everywhere)]
-        self.moves = [c for _, c in unlike([A @ self.x_d + plant.B @ self.law(A)[1] for A in outer])]
+        self.moves = outermost([A @ self.x_d + plant.B @ self.law(A)[1] for A in outer])
         self.hull = [F for _, F in unlike([self.law(A)[0] for A in outer])]
 
     def law(self, A: Ball) -> tuple[Ball, Ball]:

@@ -7,11 +7,14 @@ from .clocked import growing, predicted
 from .corners import UncertainLoop
 from .matrices import AuditFault
 from .reading import number
-from .shape import NUMBER, PACKED, of
+from .shape import NUMBER, PACKED, ROWS, of
 from .ticks import AuditedErrors
 from .tubes import TUBES, Tubes, left
 
-SHAPE = {"sampled_uncertain": (None, of(NUMBER, "rate") | {"P": [PACKED]}), "sampled_uncertain_bounds": TUBES}
+SHAPE = {
+    "sampled_uncertain": (None, of(NUMBER, "rate") | {"P": [PACKED], "T": ROWS}),
+    "sampled_uncertain_bounds": TUBES,
+}
 
 
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
@@ -28,7 +31,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("the rate of the sampled loop for uncertain parameters is out of range")
     box = UncertainLoop(whole["plant"], whole["uncertain"]["corners"], loop.K, loop.L)
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
-    wrong = growing(errors, content["P"], errors.ticks, rate)
+    wrong = growing(errors, content, errors.ticks, rate)
     said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s, {len(errors.flows)} flows proved"
     faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
     if found:

@@ -15,7 +15,7 @@ from .shape import NUMBER, PACKED, ROWS, TEXT, of
 from .starts import held, kind_of, starts_of
 from .ticks import AuditedErrors
 
-REGION = of(TEXT, "of loop") | of(ROWS, "starts H") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}
+REGION = of(TEXT, "of loop") | of(ROWS, "starts H T") | {"weights": [NUMBER], "P": [PACKED], "signals": SIGNALS}
 SHAPE = {"sampled_regions": [REGION]}
 
 
@@ -59,7 +59,7 @@ def wrong(errors: AuditedErrors, entry: Any) -> list[str]:
         most = number(size)
         if any(row) and not (most > 0 and definite(added(P, [[a * b / most**2 for b in row] for a in row], -1))):
             faults.append(f"{kind} {k} is not bounded by {size}")
-    return faults + growing(errors, entry["P"], ticks(errors, inputs, changing, H), Fraction(0))
+    return faults + growing(errors, entry, ticks(errors, inputs, changing, H), Fraction(0))
 
 
 def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:

@@ -3,13 +3,15 @@
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property, partial, reduce
-from itertools import permutations, product
+from itertools import product
+from math import prod
 from typing import Any
 
 from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
+from .boxes import Box, boxes, differences, factors
 from .estimates import Estimates
-from .matrices import AuditFault, identity
+from .matrices import AuditFault, Matrix, identity
 from .plant import AuditedPlant
 from .reading import matrix, number
 
@@ -66,13 +68,13 @@ class AuditedErrors:
         self.order, self.period = sum(self.widths), number(content["sample_time"])
         self.cells = outermost(plant.A)
         self.own = self.cells if watched is None else outermost(watched.A)
-        self.changes = outermost([one - other for one, other in permutations(self.own, 2)])
-        self.parts = content["substeps"] if self.changes else 1
-        self.read = [self.gain(change) for change in self.changes]
-        if self.R[0] and not self.changes:
+        changes = differences(self.own)
+        self.parts = content["substeps"] if changes else 1
+        self.read = [change.image(self.gain) for change in changes]
+        if self.R[0] and not changes:
             raise AuditFault("the rows of the sampled loop do not span the differences of its cells")
-        for one, other in permutations(self.cells if self.watched else [], 2):
-            self.gain(one - other)
+        for change in differences(self.cells) if self.watched else []:
+            change.image(self.gain)
 
     def gain(self, change: Ball) -> Ball:
         """Return G with G R = A_a - A_b, where R has for each row a column in which it alone is 1."""
@@ -104,32 +106,47 @@ class AuditedErrors:
         return reduce(Ball.__add__, different).times(Fraction(1, len(different)))
 
     @cached_property
-    def flows(self) -> list[Ball]:
-        """What they obey between ticks, for all cells of x, of each x_hat and of its prediction."""
-        d, held, found = self.predicted, zero(self.m, self.order), list[Ball]()
-        below, driven = self.N - self.n, self.driven()
-        rest = zero(self.order - self.held, self.order)
-        of_each = list(product(self.seen, self.read or [zero(self.n, 0)]))
-        if len(self.paces) * len(driven) * len(of_each) ** d > MOST_FLOWS:
+    def flows(self) -> list[tuple[Ball, Matrix, Matrix]]:
+        """What they obey between ticks, for all cells of x, of each x_hat and its prediction: F, U and V of boxes."""
+        read = self.read or [Box(zero(self.n, 0), [])]
+        free = [boxes(self.driven()), *[boxes(self.own), read] * self.predicted]
+        if len(self.paces) * prod(map(len, free)) > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
-        for pace, (e, known) in product(self.paces, driven):
-            late = stacked(known - e.times(pace), zero(below, self.order))
-            for chosen in product(of_each, repeat=d):
-                pushed = [(A_j, stacked(G, zero(below, len(self.R[0])))) for A_j, G in chosen]
-                own = [self.row(self.N, {2 + i: A_j, 2 + d + i: G}) for i, (A_j, G) in enumerate(pushed)]
-                rho = [self.R @ (known + X.rows(0, self.n)) for X in own]
-                found.append(stacked(e.times(pace), held, *(X + late for X in own), *rho, rest))
-        return [F for _, F in unlike(found)]
+        found, nothing = list[tuple[Ball, Matrix, Matrix]](), [box.middle.times(Fraction(0)) for box, *_ in free]
+        for pace, chosen in product(self.paces, product(*free)):
+            edges = list[Matrix]()
+            for k, box in enumerate(chosen):
+                alone = ([*nothing[:k], Ball(D), *nothing[k + 1 :]] for D in box.edges)
+                edges += [self.flow(pace, parts, Fraction(0)).centre for parts in alone]
+            found.append((self.flow(pace, [box.middle for box in chosen], Fraction(1)), *factors(edges)))
+        return found
 
-    def driven(self) -> list[tuple[Ball, Ball]]:
-        """Return the rows of d, and what the program takes it for."""
+    def flow(self, pace: Fraction, parts: list[Ball], loads: Fraction) -> Ball:
+        """Return F of the rows of d, twice, then of A_j and G of each prediction; it is linear in all."""
+        d, below = self.predicted, self.N - self.n
+        e, known = parts[0].rows(0, self.n), parts[0].rows(self.n, 2 * self.n)
+        late, own = stacked(known - e.times(pace), zero(below, self.order)), list[Ball]()
+        for i, (A_j, G) in enumerate(zip(parts[1::2], parts[2::2], strict=True)):
+            pushed = stacked(G, zero(below, len(self.R[0])))
+            own.append(self.row(self.N, {2 + i: self.seen(A_j, loads), 2 + d + i: pushed}))
+        rho = [self.R @ (known + X.rows(0, self.n)) for X in own]
+        rest = zero(self.order - self.held, self.order)
+        return stacked(e.times(pace), zero(self.m, self.order), *(X + late for X in own), *rho, rest)
+
+    def seen(self, A: Ball, loads: Fraction) -> Ball:
+        """Return what the observer's error obeys between ticks, without what its prediction adds; so much of loads."""
+        if self.plant.loads is None:
+            return A
+        E, S = (X.times(loads) for X in self.plant.loads)
+        return stacked(sides(A, E), sides(zero(self.N - self.n, self.n), S))
+
+    def driven(self) -> list[Ball]:
+        """Return the rows of d, and below them what the program takes it for."""
         if self.corners:
             cells = [(A_c, c.B, A) for c in self.corners for A_c, A in zip(c.A, self.plant.A, strict=True)]
-            row, n = partial(self.row, self.n), self.n
-            both = outermost([stacked(row({0: A_c, 1: B}), row({0: A, 1: self.plant.B})) for A_c, B, A in cells])
-            return [(X.rows(0, n), X.rows(n, 2 * n)) for X in both]
-        rows = self.known()
-        return list(zip(rows, rows, strict=True))
+            row = partial(self.row, self.n)
+            return outermost([stacked(row({0: A_c, 1: B}), row({0: A, 1: self.plant.B})) for A_c, B, A in cells])
+        return [stacked(row, row) for row in self.known()]
 
     def known(self) -> list[Ball]:
         """Return the rows of d where the plant of the design runs."""
@@ -141,15 +158,6 @@ class AuditedErrors:
         if self.plant.loads is not None and not self.late:
             sigma = {2: sides(zero(self.n, self.n), -self.plant.loads[0])}
         return [self.row(self.n, {0: A, 1: B} | sigma) for A in self.cells]
-
-    @property
-    def seen(self) -> list[Ball]:
-        """What the observer's error obeys between ticks, without what its prediction adds."""
-        loads = self.plant.loads
-        if loads is None:
-            return self.own
-        E, S = loads
-        return [stacked(sides(A, E), sides(zero(self.N - self.n, self.n), S)) for A in self.own]
 
     @cached_property
     def ticks(self) -> list[Ball]:

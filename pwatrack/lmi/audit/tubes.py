@@ -6,13 +6,14 @@ from typing import Any
 
 from .balls import Ball, beyond, falls, less_square, sides, squared, stacked, unit, unlike, zero
 from .bounds import CHANNEL, SIGNALS, Loop
-from .clocked import Form, predicted, runs_of, shrinks
-from .matrices import AuditFault, added, definite, times
+from .boxes import squares
+from .clocked import Knot, predicted, runs_of, shrinks
+from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
 from .reading import distinct, number, place
-from .shape import NUMBER, PACKED, WHOLE, of
+from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
-TUBES = [{"channel": CHANNEL, "Q": [PACKED], "signals": SIGNALS, "summed": WHOLE} | of(NUMBER, "a b")]
+TUBES = [{"channel": CHANNEL, "Q": [PACKED], "T": ROWS, "signals": SIGNALS, "summed": WHOLE} | of(NUMBER, "a b")]
 SHAPE = {"sampled_bounds": TUBES}
 
 
@@ -36,9 +37,10 @@ def left(found: Any, tubes: "Tubes", of: str) -> tuple[list[str], list[str]]:
 
 
 class Tubes:
-    """-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0, J Q_N J^T / (1 - b) + h h^T / b < Q_0.
+    """-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + g g^T / s < 0 for all boxes.
 
-    Of what is summed g g^T < Q_e in place of the term with g.
+    q is V of what d is beside, g how d acts at a middle + Q_e V^T T_e^-1 q, s = a - q^T T_e^-1 q > 0; and at ticks
+    J Q_N J^T / (1 - b) + h h^T / b < Q_0. Of what is summed g g^T < Q_e at all corners in place of the term with g.
     """
 
     def __init__(self, errors: AuditedErrors, merged: Any) -> None:
@@ -48,41 +50,52 @@ class Tubes:
     def faults(self, entry: Any) -> list[str]:
         """Return what is wrong with one tube."""
         errors, a, b = self.errors, number(entry["a"]), number(entry["b"])
-        runs = runs_of(errors, entry["Q"], "the tube of the sampled loop is not that of its knots")
-        forms, ticks, summed = [*chain(*runs)], entry["channel"][0] == "noise", entry["summed"] == 1
+        runs = runs_of(errors, entry["Q"], entry["T"], "the tube of the sampled loop is not that of its knots")
+        forms, ticks, summed = [knot[:2] for knot in chain(*runs)], entry["channel"][0] == "noise", entry["summed"] == 1
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
         if entry["summed"] not in (0, 1) or (summed and ticks):
             raise AuditFault("only what acts between ticks is summed")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
         held, between, kicks = self.drive(entry["channel"])
-        (last, powers), (first, others) = runs[-1][-1], runs[0][0]
+        (last, powers), (first, others) = forms[-1], forms[0]
         for tick, kick in zip(errors.ticks, kicks, strict=True):
             inside = less_square(first, others, kick, 1 / b) if ticks else first
             if not shrinks(tick.T, (times(last, 1 / (1 - b)), powers), (inside, others)):
                 faults.append("a tick leaves its tube")
-        if not all(shrinks(errors.substep.T, before[-1], after[0]) for before, after in pairwise(runs)):
+        if not all(shrinks(errors.substep.T, before[-1][:2], after[0][:2]) for before, after in pairwise(runs)):
             faults.append("the end of a substep leaves its tube")
-        flows = [(F, F @ held + between) for F in errors.flows]
-        pushing = unlike([g for _, g in flows]) if summed else []
+        pushing = unlike([g for flow in errors.flows for g in corners(*flow, held, between)]) if summed else []
         if not all(definite(less_square(*Q, g)) for _, g in pushing for Q in forms):
             faults.append("what is summed leaves its tube")
-        if not all(self.inside(run, flows, a, summed) for run in runs):
-            faults.append("it is left between ticks")
+        for run in runs:
+            for one, other in pairwise(run):
+                fall = times(added(one[0], other[0], -1), (len(run) - 1) * errors.parts / errors.period)
+                if not all(self.inside(knot, fall, a, summed, held, between) for knot in (one, other)):
+                    faults.append("it is left between ticks")
         for kind, k, size in entry["signals"]:
             if any(beyond(self.row(kind, k), Q, number(size)) for Q, _ in forms):
                 faults.append(f"{kind} {k} is not bounded by {size}")
         return faults
 
-    def inside(self, run: list[Form], flows: list[tuple[Ball, Ball]], a: Fraction, summed: bool) -> bool:
-        """Decide that a tube is not left in a substep."""
-        for one, other in pairwise(run):
-            fall = times(added(one[0], other[0], -1), (len(run) - 1) * self.errors.parts / self.errors.period)
-            for F, g in flows:
-                square, open_ = squared(g, 1 / a) if a and not summed else ([], [])
-                rest = added(fall, square) if square else fall
-                if not all(falls(F, *Q, rest, open_, rate=a / 2) for Q in (one, other)):
+    def inside(self, knot: Knot, fall: Matrix, a: Fraction, summed: bool, held: Ball, between: Ball) -> bool:
+        """Decide that a tube that falls by so much is not left, with Q and T as they are at a knot."""
+        Q, powers, T = knot
+        for F, U, V in self.errors.flows:
+            seen = product(V, Q) if T else []
+            rest = added(fall, squares(U, seen, [1 / t for t in T])) if T else fall
+            open_: Matrix = []
+            if a and not summed:
+                q = [row[0] / t for row, t in zip(product(V, held.centre), T, strict=True)] if T else []
+                left = a - sum((v**2 * t for v, t in zip(q, T, strict=True)), Fraction(0))
+                g = F @ held + between
+                g = g + Ball(product(transposed(seen), [[v] for v in q])) if any(q) else g
+                if left <= 0:
                     return False
+                square, open_ = squared(g, 1 / left)
+                rest = added(rest, square)
+            if not falls(F, Q, powers, rest, open_, rate=a / 2):
+                return False
         return True
 
     def drive(self, channel: Any) -> tuple[Ball, Ball, list[Ball]]:
@@ -139,3 +152,13 @@ class Tubes:
         if kind == "output":
             return sides(tracked.row(k), zero(1, self.errors.order - n))
         return unit(self.errors.order, {"state": 0, "input": n, "estimate": n + m}[kind] + k).T
+
+
+def corners(F: Ball, U: Matrix, V: Matrix, held: Ball, between: Ball) -> list[Ball]:
+    """Return what d may add to z', at all corners of a box."""
+    found, q = [F @ held + between], product(V, held.centre) if V else []
+    for k, row in enumerate(q):
+        if row[0]:
+            edge = Ball([[u[k] * row[0]] for u in U])
+            found = [g + side for g in found for side in (edge, -edge)]
+    return found
