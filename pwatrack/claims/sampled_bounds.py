@@ -277,12 +277,13 @@ class SampledBounds(TubeBounds):
         "at ticks, of the steps of u, beside nu, "
         "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
         "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it "
-        "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks and "
-        "at them, c Q c^T <= size^2 at all knots, "
-        "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + g g^T / a < 0 at both ends e of each segment, "
+        "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks, at "
+        "the middle of a box and with q = V of what it is beside, and at ticks, c Q c^T <= size^2 at all knots, "
+        "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r r^T / (a - q^T T_e^-1 "
+        "q) < 0 with r = g + Q_e V^T T_e^-1 q at both ends e of each segment, "
         "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "
         "is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of "
-        "g g^T / a there, g g^T < Q_e at all knots: so the root of z^T Q^-1 z is at most the integral of |d|, with "
+        "the term with r, g g^T < Q_e at all knots, for g at all corners: so the root of z^T Q^-1 z is at most the integral of |d|, with "
         "weights that fall as e^(-a t / 2)."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}

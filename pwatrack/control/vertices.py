@@ -17,7 +17,7 @@ from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.rational import Rational, fraction_of, identity, number, on_entries, stacked
 
-_HALF = Fraction(1, 2)
+_HALF = Fraction(1, 2)  # of an edge: from the middle to a corner
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,18 +9,18 @@ from .balls import Ball, outermost
 from .matrices import Matrix, added, product, rank, spend, times, transposed
 
 
-class Box(NamedTuple):
+class AuditedBox(NamedTuple):
     """All middle + sum of e_k D_k with |e_k| <= 1; D_k of rank 1, the first entry but 0 of each above 0, sorted."""
 
     middle: Ball
     edges: list[Matrix]
 
-    def image(self, of: Callable[[Ball], Ball]) -> "Box":
+    def image(self, of: Callable[[Ball], Ball]) -> "AuditedBox":
         """Return what a linear function makes of it."""
-        return Box(of(self.middle), [of(Ball(D)).centre for D in self.edges])
+        return AuditedBox(of(self.middle), [of(Ball(D)).centre for D in self.edges])
 
 
-def boxes(matrices: list[Ball]) -> list[Box]:
+def boxes(matrices: list[Ball]) -> list[AuditedBox]:
     """Return the box whose corners some different matrices are, or each by itself."""
     if not matrices:
         return []
@@ -38,21 +38,21 @@ def boxes(matrices: list[Ball]) -> list[Box]:
         halves.append([v / 2 if sign > 0 else -v / 2 for v in one])
     edges = [[half[k : k + width] for k in range(0, len(half), width)] for half in sorted(halves)]
     if {*sums[1:]} != off or any(rank(D) != 1 for D in edges):
-        return [Box(ball, []) for ball in matrices]
+        return [AuditedBox(ball, []) for ball in matrices]
     middle = first
     for one in single:
         middle = added(middle, [list(one[k : k + width]) for k in range(0, len(one), width)], Fraction(1, 2))
     radii = [R for _, R in matrices if R]
     largest = [[max(each) for each in zip(*rows, strict=True)] for rows in zip(*radii, strict=True)]
-    return [Box(Ball(middle, largest), edges)]
+    return [AuditedBox(Ball(middle, largest), edges)]
 
 
-def differences(matrices: list[Ball]) -> list[Box]:
+def differences(matrices: list[Ball]) -> list[AuditedBox]:
     """Return the differences of any two matrices in the hull of some different ones, in boxes; none of one."""
     found = boxes(matrices)
     if len(found) > 1:
         return boxes(outermost([one - other for one, other in permutations(matrices, 2)]))
-    return [Box((one.middle - one.middle), [times(D, 2) for D in one.edges]) for one in found if one.edges]
+    return [AuditedBox((one.middle - one.middle), [times(D, 2) for D in one.edges]) for one in found if one.edges]
 
 
 def factors(edges: list[Matrix]) -> tuple[Matrix, Matrix]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
-from .boxes import Box, boxes, differences, factors
+from .boxes import AuditedBox, boxes, differences, factors
 from .estimates import Estimates
 from .matrices import AuditFault, Matrix, identity
 from .plant import AuditedPlant
@@ -108,7 +108,7 @@ class AuditedErrors:
     @cached_property
     def flows(self) -> list[tuple[Ball, Matrix, Matrix]]:
         """What they obey between ticks, for all cells of x, of each x_hat and its prediction: F, U and V of boxes."""
-        read = self.read or [Box(zero(self.n, 0), [])]
+        read = self.read or [AuditedBox(zero(self.n, 0), [])]
         free = [boxes(self.driven()), *[boxes(self.own), read] * self.predicted]
         if len(self.paces) * prod(map(len, free)) > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
