@@ -267,11 +267,12 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     again = AuditedErrors(told, Loop(AuditedPlant(content["plant"]), [], [], None))
     system = errors.clocked
     assert system.between is not None
-    flows, U, V = zip(*again.flows, strict=True)
+    flows, U, V = zip(*again.opened(errors.edges), strict=True)
+    assert (len(flows), len(V[0])) == (errors.flows, errors.edges)
     pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
-    for own, audited in (*pairs, (system.U, list(map(Ball, U))), (system.V, list(map(Ball, V)))):
+    for own, audited in (*pairs, (system.U, map(Ball, U)), (system.V, map(Ball, V))):
         texts = [tuple(tuple(map(Fraction, row)) for row in X.texts) for X in own]
-        assert texts == [tuple(map(tuple, ball.centre)) for ball in audited]
+        assert sorted(texts) == sorted(tuple(map(tuple, ball.centre)) for ball in audited if ball.centre)
 
 
 def test_what_is_not_proved_is_said(section: tuple[Spec, ProvedController]) -> None:

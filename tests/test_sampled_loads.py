@@ -338,11 +338,12 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     told = SampledLoop(gains=gains, proof=ClockedProof(P=(), T=(), rate=1.0)).data(controller)["sampled"]
     plant, generator = AuditedPlant(content["plant"]), content["generator"]
     X = None if generator is None else normal_form(plant, generator)[1]
-    again, system = AuditedErrors(told, Loop(plant, [], [], X, generator)), errors_of(controller, gains).clocked
+    again, errors = AuditedErrors(told, Loop(plant, [], [], X, generator)), errors_of(controller, gains)
+    system = errors.clocked
     assert system.between is not None
-    flows, U, V = zip(*again.flows, strict=True)
+    flows, U, V = zip(*again.opened(errors.edges), strict=True)
     pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
-    for own, audited in (*pairs, (system.U, list(map(Ball, U))), (system.V, list(map(Ball, V)))):
+    for own, audited in (*pairs, (system.U, [Ball(X) for X in U if X]), (system.V, [Ball(X) for X in V if X])):
         assert len(own) == len(audited)
         found = [np.array(ball.centre, dtype=float) for ball in audited]
         for X_own in own:

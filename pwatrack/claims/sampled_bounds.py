@@ -283,8 +283,8 @@ class SampledBounds(TubeBounds):
         "q) < 0 with r = g + Q_e V^T T_e^-1 q at both ends e of each segment, "
         "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "
         "is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of "
-        "the term with r, g g^T < Q_e at all knots, for g at all corners: so the root of z^T Q^-1 z is at most the integral of |d|, with "
-        "weights that fall as e^(-a t / 2)."
+        "the term with r, g g^T < Q_e at all knots, for g at all corners: so the root of z^T Q^-1 z is at most the "
+        "integral of |d|, with weights that fall as e^(-a t / 2)."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
     KEY: ClassVar[str] = "sampled_bounds"

@@ -42,10 +42,11 @@ Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the tr
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, reduce
 from itertools import product
+from math import prod
 
 import numpy as np
 
@@ -58,6 +59,8 @@ from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.rational import identity, pivots, rational
 from pwatrack.real import Real
+
+_FEW = 16  # corners of boxes, up to which each is looked at: what is found is a little better than of boxes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +170,7 @@ class SampledErrors:
         ends = BallMatrix.of(np.diag([1.0] * (self.order - held - rest) + [0.0] * held + [1.0] * rest))
         F, edges = zip(*(each for pace in self.paces for each in self._flows(pace)), strict=True)
         U, V = zip(*(_factors(D, self.order) for D in edges), strict=True)
-        return Clocked(
+        found = Clocked(
             F=F,
             U=U,
             V=V,
@@ -178,6 +181,19 @@ class SampledErrors:
             blocks=(n + m, *others[: self.predicted], *[1] * held, *[rest] * bool(rest)),
             sizes=self._sizes(self.sizes) if self.sizes is not None else (),
         )
+        return found if self.edges else replace(found, F=different(list(found.vertices)), U=(), V=())
+
+    @property
+    def edges(self) -> int:
+        """How many edges the boxes of flows have; 0 where there are few corners: each is looked at by itself then."""
+        edges = sum(len(one.edges) for one, *_ in self.free)
+        return edges if len(self.paces) * prod(map(len, self.free)) * 2**edges > _FEW else 0
+
+    @property
+    def flows(self) -> int:
+        """How many boxes there are, or corners."""
+        edges = sum(len(one.edges) for one, *_ in self.free)
+        return len(self.paces) * prod(map(len, self.free)) * (1 if self.edges else 2**edges)
 
     def _sizes(self, of: Sizes) -> tuple[float, ...]:
         """Return the sizes of z: what moves, in a row of R, as much as all states; of an estimate what moves one."""

@@ -1,7 +1,6 @@
 """Forms that prove a loop that is sampled, looked for with as many substeps and knots as it takes, within a budget."""
 
 from dataclasses import replace
-from math import prod
 
 import numpy as np
 
@@ -122,8 +121,7 @@ def _tried(errors: SampledErrors, most: int) -> list[tuple[SampledErrors, int]]:
 
 def work(errors: SampledErrors) -> int:
     """Return how much one segment in each substep takes."""
-    edges = sum(len(one.edges) for one, *_ in errors.free)
-    return _inequalities(errors) * errors.order * (errors.order + edges)
+    return _inequalities(errors) * errors.order * (errors.order + errors.edges)
 
 
 def _most(errors: SampledErrors) -> int:
@@ -133,7 +131,7 @@ def _most(errors: SampledErrors) -> int:
 
 def _inequalities(errors: SampledErrors) -> int:
     """Return how many there are between ticks, for one segment in each substep."""
-    return 2 * errors.parts * len(errors.paces) * prod(map(len, errors.free))
+    return 2 * errors.parts * errors.flows
 
 
 def _much(errors: SampledErrors) -> str:

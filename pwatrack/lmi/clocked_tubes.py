@@ -73,7 +73,7 @@ class TubeProgram:
         holding = L @ np.array([g.floats[:, 0] for g in drive.held_by(system)]).T
         kicking = np.array(ticks) @ L.T / np.sqrt(b or np.inf)
         driving = holding if summed else holding / np.sqrt(a or np.inf)
-        size = max(float((driving**2).sum(axis=0).max()), float((kicking**2).sum(axis=1).max()))
+        size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
         W, rest = (rows @ back).T * weights @ (rows @ back) + _FADING * eye, slack * eye

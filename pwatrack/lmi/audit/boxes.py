@@ -73,3 +73,12 @@ def squares(U: Matrix, V: Matrix, T: list[Fraction]) -> Matrix:
     heavy = [times([row], t)[0] for row, t in zip(V, T, strict=True)]
     light = [[v / t for v, t in zip(row, T, strict=True)] for row in U]
     return added(product(transposed(V), heavy), product(light, transposed(U)))
+
+
+def spread(middle: Ball, U: Matrix, V: Matrix) -> list[Ball]:
+    """Return all corners of a box."""
+    found = [middle]
+    for u, v in zip(transposed(U), V, strict=True):
+        edge = Ball([[a * b for b in v] for a in u])
+        found = [X + one for X in found for one in (edge, -edge)]
+    return found

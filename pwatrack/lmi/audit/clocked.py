@@ -33,7 +33,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
     errors = AuditedErrors(content, loop, predicted(whole))
     faults = growing(errors, content, errors.ticks, rate)
-    said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(errors.flows)} flows"
+    flows = errors.opened(len(content["T"][0]) if content["T"] else 0)
+    said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(flows)} flows"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(content['P'])} knots"]
 
 
@@ -43,8 +44,11 @@ def runs_of(errors: AuditedErrors, P: Any, T: Any, fault: str) -> list[list[Knot
     knots, rest = divmod(len(forms), errors.parts)
     if rest or knots < 2 or any(len(form) != errors.order for form, _ in forms) or len(diagonals) != len(forms):
         raise AuditFault(fault)
-    if any(len(row) != len(errors.flows[0][2]) or not all(t > 0 for t in row) for row in diagonals):
+    counts = {0, len(errors.flows[0][2])}
+    if len({len(row) for row in diagonals}) != 1 or len(diagonals[0]) not in counts:
         raise AuditFault(fault)
+    if not all(t > 0 for row in diagonals for t in row):
+        raise AuditFault("the diagonals of the sampled loop are not positive")
     each = [(*form, row) for form, row in zip(forms, diagonals, strict=True)]
     return [each[j : j + knots] for j in range(0, len(each), knots)]
 
@@ -69,7 +73,7 @@ def growing(errors: AuditedErrors, content: Any, ticks: list[Ball], rate: Fracti
 def falling(errors: AuditedErrors, knot: Knot, rise: Matrix, rate: Fraction) -> bool:
     """Decide that a form that rises by so much falls in all boxes."""
     P, powers, T = knot
-    for F, U, V in errors.flows:
+    for F, U, V in errors.opened(len(T)):
         more = squares(product(P, U), V, T) if T else []
         if not falls(F.T, P, powers, added(rise, more) if more else rise, rate=rate):
             return False

@@ -32,7 +32,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     box = UncertainLoop(whole["plant"], whole["uncertain"]["corners"], loop.K, loop.L)
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
     wrong = growing(errors, content, errors.ticks, rate)
-    said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s, {len(errors.flows)} flows proved"
+    said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s proved"
     faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
     if found:
         outside, claimed = left(found, Tubes(errors, []), " for uncertain parameters")

@@ -9,7 +9,7 @@ from typing import Any
 
 from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
-from .boxes import AuditedBox, boxes, differences, factors
+from .boxes import AuditedBox, boxes, differences, factors, spread
 from .estimates import Estimates
 from .matrices import AuditFault, Matrix, identity
 from .plant import AuditedPlant
@@ -120,6 +120,14 @@ class AuditedErrors:
                 edges += [self.flow(pace, parts, Fraction(0)).centre for parts in alone]
             found.append((self.flow(pace, [box.middle for box in chosen], Fraction(1)), *factors(edges)))
         return found
+
+    def opened(self, edges: int) -> list[tuple[Ball, Matrix, Matrix]]:
+        """Return the boxes of flows, which have so many edges, or all corners of them if that is none."""
+        if edges or not self.flows[0][2]:
+            return self.flows
+        if len(self.flows) * 2 ** len(self.flows[0][2]) > MOST_FLOWS:
+            raise AuditFault("the flows of the sampled loop are too many")
+        return [(F, [], []) for _, F in unlike([F for flow in self.flows for F in spread(*flow)])]
 
     def flow(self, pace: Fraction, parts: list[Ball], loads: Fraction) -> Ball:
         """Return F of the rows of d, twice, then of A_j and G of each prediction; it is linear in all."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from .balls import Ball, beyond, falls, less_square, sides, squared, stacked, unit, unlike, zero
 from .bounds import CHANNEL, SIGNALS, Loop
-from .boxes import squares
+from .boxes import spread, squares
 from .clocked import Knot, predicted, runs_of, shrinks
 from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
 from .reading import distinct, number, place
@@ -65,7 +65,7 @@ class Tubes:
                 faults.append("a tick leaves its tube")
         if not all(shrinks(errors.substep.T, before[-1][:2], after[0][:2]) for before, after in pairwise(runs)):
             faults.append("the end of a substep leaves its tube")
-        pushing = unlike([g for flow in errors.flows for g in corners(*flow, held, between)]) if summed else []
+        pushing = unlike([F @ held + between for box in errors.flows for F in seen(*box, held)]) if summed else []
         if not all(definite(less_square(*Q, g)) for _, g in pushing for Q in forms):
             faults.append("what is summed leaves its tube")
         for run in runs:
@@ -81,15 +81,15 @@ class Tubes:
     def inside(self, knot: Knot, fall: Matrix, a: Fraction, summed: bool, held: Ball, between: Ball) -> bool:
         """Decide that a tube that falls by so much is not left, with Q and T as they are at a knot."""
         Q, powers, T = knot
-        for F, U, V in self.errors.flows:
-            seen = product(V, Q) if T else []
-            rest = added(fall, squares(U, seen, [1 / t for t in T])) if T else fall
+        for F, U, V in self.errors.opened(len(T)):
+            VQ = product(V, Q) if T else []
+            rest = added(fall, squares(U, VQ, [1 / t for t in T])) if T else fall
             open_: Matrix = []
             if a and not summed:
                 q = [row[0] / t for row, t in zip(product(V, held.centre), T, strict=True)] if T else []
                 left = a - sum((v**2 * t for v, t in zip(q, T, strict=True)), Fraction(0))
                 g = F @ held + between
-                g = g + Ball(product(transposed(seen), [[v] for v in q])) if any(q) else g
+                g = g + Ball(product(transposed(VQ), [[v] for v in q])) if any(q) else g
                 if left <= 0:
                     return False
                 square, open_ = squared(g, 1 / left)
@@ -154,11 +154,7 @@ class Tubes:
         return unit(self.errors.order, {"state": 0, "input": n, "estimate": n + m}[kind] + k).T
 
 
-def corners(F: Ball, U: Matrix, V: Matrix, held: Ball, between: Ball) -> list[Ball]:
-    """Return what d may add to z', at all corners of a box."""
-    found, q = [F @ held + between], product(V, held.centre) if V else []
-    for k, row in enumerate(q):
-        if row[0]:
-            edge = Ball([[u[k] * row[0]] for u in U])
-            found = [g + side for g in found for side in (edge, -edge)]
-    return found
+def seen(F: Ball, U: Matrix, V: Matrix, held: Ball) -> list[Ball]:
+    """Return the corners of a box, but for the edges that do not act on what d is beside."""
+    acting = [k for k, row in enumerate(product(V, held.centre) if V else []) if row[0]]
+    return spread(F, [[u[k] for k in acting] for u in U], [V[k] for k in acting])
