@@ -13,7 +13,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
-from pwatrack.claims.limits import StartGuarantee, known_before, promises
+from pwatrack.claims.limits import WITHOUT, StartGuarantee, known_before, promises
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import SignalRoom
 from pwatrack.control.words import Words, down
@@ -76,11 +76,12 @@ class KeptLimits(Claim):
         return {"kept_limits": {"signals": each, "starts": said, "missing": self.missing}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        texts = [*self._takes(words), *self._kept(words, controller)]
+        idle = WITHOUT * (controller.plant.loads is not None)
+        texts = [*self._takes(words, idle), *self._kept(words, controller)]
         yield from ((label, text) for label, text in zip(["kept", *[""] * len(texts)], texts, strict=False))
 
-    def _takes(self, words: Words) -> Iterator[str]:
-        """Yield what is taken of each limit."""
+    def _takes(self, words: Words, idle: str) -> Iterator[str]:
+        """Yield what is taken of each limit, without loads that are estimated."""
         signals, peak = self.signals, self.signals.room.peak
         for k, name in enumerate(signals.names):
             unit = words.units.get(name, "")
@@ -89,7 +90,7 @@ class KeptLimits(Claim):
                 yield f"{said}: x_d takes too long to follow, so what the reference takes is not known"
                 continue
             span = f"the reference takes {number_text(float(peak.low[k]), '.4g')} to "
-            span += f"{number_text(float(peak.high[k]), '.4g')} {unit}".rstrip()
+            span += f"{number_text(float(peak.high[k]), '.4g')} {unit}".rstrip() + idle
             over = float(peak.left(signals.room.limits)[k])
             leaves = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit"
             if signals.acting and self.taken is not None:

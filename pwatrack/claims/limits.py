@@ -32,6 +32,7 @@ from pwatrack.lmi.clocked_region import ClockedRegion
 from pwatrack.lmi.ellipsoid import StartEllipsoid, held
 from pwatrack.lmi.polynomial_region import PolynomialRegion
 
+WITHOUT = " while no load acts"  # where loads are estimated
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
 
@@ -89,7 +90,7 @@ class StartGuarantee:
         scale, kind = self.scale(left), self.starts.kind
         much = f"up to {down(scale)} times its size" if np.isfinite(scale) else "whatever it is"
         if kind == "exact":
-            idle = ", while no load acts" if loads else ""
+            idle = f",{WITHOUT}" if loads else ""
             return f"each |x_k − x_dk| {much} and x̂ = x{idle}"
         if kind == "sizes":
             acting = "" if self.starts.load is None else " and each load"
@@ -185,11 +186,12 @@ class NoSaturation(Claim):
         return {"limits": {"inputs": inputs, "ever": room.ever, "starts": said}}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        texts = [*self._takes(words), *self._reaches(words, loads=controller.plant.loads is not None)]
+        loads = controller.plant.loads is not None
+        texts = [*self._takes(words, WITHOUT * loads), *self._reaches(words, loads=loads)]
         yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
 
-    def _takes(self, words: Words) -> Iterator[str]:
-        """Yield what the feedforward takes of each limit."""
+    def _takes(self, words: Words, idle: str) -> Iterator[str]:
+        """Yield what the feedforward takes of each limit, without loads that are estimated."""
         room = self.room
         for k in room.inputs:
             name, unit = words.plant.inputs[k], words.units.get(words.plant.inputs[k], "")
@@ -198,7 +200,7 @@ class NoSaturation(Claim):
             if room.peak is None:
                 yield f"{said}: x_d takes too long to follow, so what its feedforward takes is not known"
                 continue
-            takes = f"its feedforward takes {_range(room.peak, k, unit)}"
+            takes = f"its feedforward takes {_range(room.peak, k, unit)}{idle}"
             if any(input_ == k for input_, _ in room.peak.beyond(room.limits)):
                 after = (
                     "" if room.lasting is None else f"; once that start is forgotten {_range(room.lasting, k, unit)}"

@@ -47,6 +47,7 @@ from pwatrack.rational import floats
 
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _ROUNDED = 1e-9  # of a time in ticks
+_MOST = 300_000  # work of one proof times tubes that are looked for: an auditor decides each, in 10 steps for each
 _END = 10  # the end of a run is a tenth of it
 _LOOKS = 30  # at where predictions may cross planes, at most
 _SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
@@ -70,7 +71,6 @@ class TubeBounds(Claim):
     forms: tuple[Form, ...]
 
     KEY: ClassVar[str]
-    MOST: ClassVar[float] = np.inf  # work of one proof times tubes that are looked for: an auditor decides each
 
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
@@ -82,8 +82,9 @@ class TubeBounds(Claim):
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
-            if (len(acts.squares) + len(acts.means)) * work(errors) <= cls.MOST:
-                found = replace(found, tubes=_Search.of(controller, found, proof).tubes(acts))
+            few = replace(acts, means={})  # of each channel but the tube that is needed
+            if looked := [one for one in (acts, few) if len([*one.squares, *one.means]) * work(errors) <= _MOST]:
+                found = replace(found, tubes=_Search.of(controller, found, proof).tubes(looked[0]))
             yield found
 
     @classmethod
@@ -274,11 +275,11 @@ class SampledBounds(TubeBounds):
     statement: ClassVar[str] = (
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
         "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
-        "at ticks, of the steps of u, beside nu, "
-        "of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F of the "
-        "mean of all A_i; x_nom is x in the loop of that mean, from x_d on, without noise, and z here is less what it "
-        "is there. With Q linear in time between the knots of each substep and g and h how it acts between ticks, at "
-        "the middle of a box and with q = V of what it is beside, and at ticks, c Q c^T <= size^2 at all knots, "
+        "at ticks, of the steps of u, beside nu, of what R x_nom moves in a substep, beside every rho, and of R (x_nom "
+        "- x_d), which acts by F less F of the mean of the A_i that have all others in their hull; x_nom is x in the "
+        "loop of that mean, from x_d on, without noise, and z here is less what it is there. With Q linear in time "
+        "between the knots of each substep, q V of what it is beside, and g and h how it acts between ticks, at the "
+        "middle of a box, and at ticks, c Q c^T <= size^2 at all knots, "
         "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r r^T / (a - q^T T_e^-1 "
         "q) < 0 with r = g + Q_e V^T T_e^-1 q at both ends e of each segment, "
         "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "

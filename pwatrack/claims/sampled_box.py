@@ -80,7 +80,6 @@ class SampledBoxBounds(TubeBounds):
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_uncertain_bounds": []}
     KEY: ClassVar[str] = "sampled_uncertain_bounds"
-    MOST: ClassVar[float] = 300_000  # corners make work, but no larger file
 
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:

@@ -16,7 +16,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.pareto import Front, pareto
 from pwatrack.control.program import SampledController
 from pwatrack.control.task import Task
-from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, PwatrackError, Undecided
+from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec, Problem, ProblemPart, PwatrackError, Undecided
 from pwatrack.export.stored import check_same, read, with_gains
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Solver
 from pwatrack.lmi.infeasibility import Impossibility
@@ -29,6 +29,7 @@ from pwatrack.report.screen import Findings, first_rows, print_screen, screen
 from pwatrack.report.terminal import compiling, console
 from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
+from pwatrack.spec.spelling import path_of
 from pwatrack.workflow import pipeline
 from pwatrack.workflow.how_far import HowFar, LargestBox, how_far, largest_box
 from pwatrack.workflow.outcome import SimulatedLoop
@@ -179,9 +180,11 @@ class _Made:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
                 found = Findings(spec=spec, controller=controller)
                 files.write(found, folder, broken=refusal, effort=self.effort, warned=True)
-                refusal.add_note(
-                    f"  UNSTABLE as sampled: do not run the gains in {folder!s}: proved is the ideal loop only"
-                )
+                at = path_of((ProblemPart.SAMPLE_TIME,))
+                sampled = any(problem.subject == at for problem in refusal.problems)
+                unstable = f"UNSTABLE as sampled: do not run the gains in {folder!s}: proved is the ideal loop only"
+                broken = f"what is proved of the gains is in {folder!s}; this run does not show that they work"
+                refusal.add_note(f"  {unstable if sampled else broken}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
             far = self._how_far(refusal) if shown != "nothing" or not expected else None

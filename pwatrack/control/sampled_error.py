@@ -140,9 +140,8 @@ class SampledErrors:
 
     @cached_property
     def mean(self) -> BallMatrix:
-        """A₀, the mean of all different A_i."""
-        cells = different(self.plant.exact.A)
-        return reduce(BallMatrix.__add__, cells).times(Fraction(1, len(cells)))
+        """A₀, the mean of the A_i that have all others in their hull."""
+        return reduce(BallMatrix.__add__, self.cells).times(Fraction(1, len(self.cells)))
 
     @property
     def followed(self) -> BallMatrix:

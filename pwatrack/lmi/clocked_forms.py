@@ -72,12 +72,12 @@ class ClockedForms:
         return replace(self, F=own, U=U, V=V, J=J, R=R, sizes=self.sizes[where], near=None, asked={})
 
     def inside(self, L: Array, rate: float) -> "ClockedForms":
-        """Return the program for L z, falling at a rate less, with edges of u and v of one length."""
-        back = np.linalg.inv(L)
-        F, U, V = L @ (self.F + rate * np.eye(len(L))) @ back, L @ self.U, self.V @ back
+        """Return the program for L z, falling at a rate less, in periods, with edges of u and v of one length."""
+        back, h = np.linalg.inv(L), self.period
+        F, U, V = L @ (self.F + rate * np.eye(len(L))) @ back * h, L @ self.U * h, self.V @ back
         longer = np.sqrt(np.linalg.norm(U, axis=1) / np.linalg.norm(V, axis=2)).mean(axis=0)
         U, V = U / longer, V * longer[:, None]
-        return replace(self, F=F, U=U, V=V, J=L @ self.J @ back, R=L @ self.R @ back)
+        return replace(self, F=F, U=U, V=V, J=L @ self.J @ back, R=L @ self.R @ back, period=1.0)
 
     def longer(self, L: Array) -> Array:
         """Return by how much u is longer than v there, (p,)."""

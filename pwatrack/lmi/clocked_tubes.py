@@ -72,7 +72,8 @@ class TubeProgram:
         ticks = [np.zeros(len(L))] * len(inside.J) if drive.ticks is None else [X.floats[:, 0] for X in drive.ticks]
         holding = L @ np.array([g.floats[:, 0] for g in drive.held_by(system)]).T
         kicking = np.array(ticks) @ L.T / np.sqrt(b or np.inf)
-        driving = holding if summed else holding / np.sqrt(a or np.inf)
+        h = self.clock.period
+        driving = holding if summed else holding * np.sqrt(h / (a or np.inf))
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
@@ -89,10 +90,10 @@ class TubeProgram:
         acting = not (summed or drive.ticks is not None)
         push = _Push(
             clock=inside,
-            g=drive.middles(system) @ L.T / np.sqrt(size) * acting,
+            g=drive.middles(system) @ L.T * (h / np.sqrt(size) * acting),
             q=inside.V @ L @ drive.held.floats[:, 0] / np.sqrt(size) * acting,
-            a=a,
-            rest=(a if summed else 1.0) * rest,
+            a=a * h,
+            rest=(a * h if summed else 1.0) * rest,
         )
         found = self.clock.of_few(
             lambda: inside.solved(fixed, push.bound, _GAP, W / inside.count),
@@ -122,7 +123,7 @@ class TubeProgram:
 
 @dataclass(frozen=True, kw_only=True)
 class _Push:
-    """What is asked of a tube between ticks, in floating point."""
+    """What is asked of a tube between ticks, in floating point, in periods."""
 
     clock: ClockedForms  # with a / 2 in F
     g: Array  # what drives z' at the middles, (v, n); 0 where nothing does

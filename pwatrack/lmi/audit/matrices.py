@@ -8,7 +8,7 @@ from typing import Any
 
 Matrix = list[list[Fraction]]
 
-_MOST, _SMALL = 3e6, 100_000  # steps, 5e-6 to 12e-6 s each, for so many bytes; as their fourth power for more
+_MOST, _SMALL = 5e6, 100_000  # steps, 5e-6 to 12e-6 s each, for so many bytes; as their fourth power for more
 _BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the time of short ones, then as the square
 _work = {"most": inf, "done": 0.0}
 

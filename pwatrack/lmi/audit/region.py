@@ -5,7 +5,7 @@ from itertools import compress
 from itertools import product as choices
 from typing import Any
 
-from .balls import Ball, falls, stacked, zero
+from .balls import Ball, falls, outermost, stacked, zero
 from .bounds import Loop
 from .matrices import AuditFault, Matrix, definite, product
 from .polynomials import coefficients, exponents, polynomial, substituted
@@ -37,6 +37,7 @@ def wrong(loop: Loop, entry: Any) -> list[str]:
         raise AuditFault("a region of no input")
     if len(H) != len(inputs) or any(len(row) != len(matrices[0][0]) for row in H):
         raise AuditFault("the rows of a region do not fit")
+    matrices = outermost(matrices) if "V" in entry else matrices
     limited = vertices(loop, name, wanted, matrices, inputs, H)
     if "V" in entry:
         return by_polynomial(entry, wanted, limited, H)

@@ -101,9 +101,8 @@ class AuditedErrors:
 
     @cached_property
     def mean(self) -> Ball:
-        """The mean of all different A_i, for the nominal loop."""
-        different = [A for _, A in unlike(self.plant.A)]
-        return reduce(Ball.__add__, different).times(Fraction(1, len(different)))
+        """The mean of the A_i that have all others in their hull, for the nominal loop."""
+        return reduce(Ball.__add__, self.cells).times(Fraction(1, len(self.cells)))
 
     @cached_property
     def flows(self) -> list[tuple[Ball, Matrix, Matrix]]:
