@@ -33,6 +33,7 @@ from pwatrack.compilation import listen
 
 SAME_TIME = 1e-12  # relative, or in s before t = 1 s
 MOST_IDLE = 1000  # crossings without progress in time
+_DOUBLED = 20  # times at most that rounding counts twice where crossings come back
 PIECES = 32  # of a step: more than how often it is halved
 _FINEST = 2.0**-26  # a piece so short that a polynomial without monotony on it stays within rounding of 0
 _VAGUE = 2.0**-22, 2.0**-30  # times known to this part of the finest step, or of a sample time, are known
@@ -688,12 +689,17 @@ def _enter(field: FlowTables, at: KernelState, log: Log) -> None:
 def _settle(field: FlowTables, modes: ModeTables, known: int, at: KernelState, log: Log, room: Workspace) -> bool:
     """Find the mode in which the trajectory goes on from where it is; say whether it has one that is filled in.
 
-    It may take some calls: a mode is right once its own field leads to the sides that it is on.
+    It may take some calls: a mode is right once its own field leads to the sides that it is on. Where crossings come
+    back without progress in time, what decided is rounding: twice as much of it counts as none each time.
     """
     s, m, K = at.state[0], at.state[0].m, len(at.crossed)
+    t = (s.k + s.done) * field.h
     for i in range(len(at.z)):
         room.size[i] = abs(at.z[i])
     _apply(modes.rounding[m], room.size, room.tolerance)
+    if s.idle > 2 and t - s.last <= SAME_TIME * max(1.0, t):
+        for i in range(K):
+            room.tolerance[i] *= 2.0 ** min(s.idle - 2, _DOUBLED)
     was = modes.sides[log.event_mode[s.events - 1]]
     _sides(modes.F[m], modes.degree[m], field.guards, at, was, room)
     for p in range(len(at.cells)):
@@ -706,7 +712,6 @@ def _settle(field: FlowTables, modes: ModeTables, known: int, at: KernelState, l
         s.tries += 1
         return True
     s.settling, s.tries = False, 0
-    t = (s.k + s.done) * field.h
     for i in range(K):
         if modes.sides[m, i] == 0:
             at.near_since[i] = np.inf
