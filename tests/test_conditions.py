@@ -504,3 +504,30 @@ def test_a_start_that_the_reference_gives_is_not_given_twice(specs: Path, tmp_pa
     path.write_text(text.replace("plant: [5, 5]", "plant: [5, 5], generator: [1, 1]"), encoding="utf-8")
     with pytest.raises(InvalidSpec, match="the reference itself says where the desired trajectory starts"):
         simulate(load_spec(path))
+
+
+RESTS = """
+name: A cart that rests where its spring begins
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [0, -1]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: s, kind: spring, of: z, start: 0, slope: 60, into: {v: -1}}
+reference: {output: {step: {size: SIZE, at: AT, smooth: 0.6}}}
+simulation: {duration: 1.5, sample_time: 0.01, controller: {sample_time: 0.01}}
+"""
+
+
+@pytest.mark.parametrize("size", ["0.12", "-0.12"])
+@pytest.mark.parametrize("at", ["0.505", "0.5037", "0.5"])
+def test_a_reference_that_rests_on_a_corner_leaves_it_between_ticks(size: str, at: str, tmp_path: Path) -> None:
+    """There the guard and all but its third derivative are 0, but for rounding, which must not decide."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(RESTS.replace("SIZE", size).replace("AT", at), encoding="utf-8")
+    result = simulate(load_spec(path))
+    assert result.response.error_norm.max() < 1e-4
+    assert result.response.error_norm[-1] < 5e-6

@@ -626,3 +626,50 @@ def test_the_end_of_a_run_holds_a_period_of_the_reference(friction: tuple[Spec, 
         most = bounds.from_zero[form]
         assert end == pytest.approx(most[-int(np.pi / 2 / step) :].max(), rel=1e-3)
         assert end >= most[len(most) - int(np.pi / 2 / step) :].max()
+
+
+STOPS = """
+name: A cart between two stops of different stiffness
+parameters: {T: SECONDS}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1/T], [0, -1/T]]
+  B: [[0], [1/T]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: stops, kind: stop, of: z, lower: -0.1, upper: 0.1, lower_slope: 20/T, upper_slope: 50/T, into: {v: -1}}
+reference: {output: {sine: {amplitude: 0.15, frequency: 1/T}}}
+simulation: {duration: 4*T, sample_time: 0.01*T, initial: {plant: steady}, controller: {sample_time: 0.01*T}}
+"""
+
+
+@pytest.fixture(scope="module")
+def of_stops(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Spec, ProvedController]]:
+    """A plant whose cells have three slopes, in three units of time."""
+    found = list[tuple[Spec, ProvedController]]()
+    for seconds in ("1", "1e-5", "1e7"):
+        path = tmp_path_factory.mktemp("stops") / "plant.yaml"
+        path.write_text(STOPS.replace("SECONDS", seconds), encoding="utf-8")
+        spec = load_spec(path)
+        found.append((spec, design(spec)))
+    return found
+
+
+def test_a_slope_between_two_others_moves_the_mean_of_neither_half(
+    of_stops: list[tuple[Spec, ProvedController]],
+) -> None:
+    spec, controller = of_stops[0]
+    assert len(the_bounds(controller).tubes) == 2
+    assert audit(json.dumps(design_certificate(spec, controller)))[1] == []
+
+
+def test_units_of_time_change_no_tube(of_stops: list[tuple[Spec, ProvedController]]) -> None:
+    one, *others = (the_bounds(controller).tubes for _, controller in of_stops)
+    for other in others:
+        assert other.keys() == one.keys()
+        for channel, each in one.items():
+            assert [tube.sizes[0] for tube in other[channel] if not tube.summed] == pytest.approx(
+                [tube.sizes[0] for tube in each if not tube.summed], rel=1e-3
+            )

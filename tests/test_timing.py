@@ -64,3 +64,25 @@ def test_a_step_too_sharp_for_its_time_is_refused_with_the_rounding_that_would_d
     assert result.figures.largest_error < 1e-9
     with pytest.raises(InvalidSpec, match="too short"):
         simulate(load_spec(chain(tmp_path, r, 1, at, 0.3 * needed)))
+
+
+TWO = """
+name: two masses on one web
+system:
+  states: [a, b]
+  inputs: [u, w]
+  outputs: [ya, yb]
+  A: [[-1, 0.5], [0.5, -1]]
+  B: [[1, 0], [0, 1]]
+  C: [[1, 0], [0, 1]]
+reference: {output: {ya: {constant: AT}, yb: {step: {size: 2, at: 0.5, smooth: 1.5}}}}
+simulation: {duration: 30, sample_time: 0.1}
+"""
+
+
+@pytest.mark.parametrize("at", ["0", "0.01", "-3"])
+def test_an_output_that_rests_beside_one_that_moves_is_no_rounding(at: str, tmp_path: Path) -> None:
+    """Of what rests an error counts beside where it rests: it has no swing to count it in."""
+    path = tmp_path / "two.yaml"
+    path.write_text(TWO.replace("AT", at), encoding="utf-8")
+    assert simulate(load_spec(path)).response.error_norm[-1] < 1e-6

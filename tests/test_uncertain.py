@@ -616,3 +616,31 @@ def test_without_uncertain_parameters_no_box_is_scaled(specs: Path, tmp_path: Pa
     with pytest.raises(PwatrackError, match="no parameter is uncertain") as refused:
         run(specs / "two_mass_backlash.yaml", tmp_path / "run", [], None, simulated=False, scaled=True)
     assert refused.value.code == ExitCode.INVALID
+
+
+BETWEEN = """
+name: A stop of two stiffnesses beside uncertain mass, with limits
+parameters: {m: 2, d: 1, k: 20, c: 3}
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-c/m, -d/m]]
+  B: [[0], [1/m]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: s, kind: stop, of: z, lower: -0.05, upper: 0.1, lower_slope: k, upper_slope: 2*k, into: {v: -1/m}}
+design: {uncertain: {m: 3%}}
+reference: {output: {step: {size: 0.2, at: 1, smooth: 1}}}
+simulation: {duration: 8, sample_time: 0.01, initial: {plant: steady}, actuator: {limits: {u: [-30, 20]}}}
+"""
+
+
+def test_a_polynomial_region_of_cells_with_one_between_two_others_is_audited(tmp_path: Path) -> None:
+    """The cells are listed for the box, and the region is of those that have the others in their hull."""
+    path = tmp_path / "plant.yaml"
+    path.write_text(BETWEEN, encoding="utf-8")
+    spec = load_spec(path)
+    content = design_certificate(spec, design(spec))
+    assert any("V" in region for region in content["regions"])
+    assert audit(json.dumps(content))[1] == []

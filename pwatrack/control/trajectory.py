@@ -179,7 +179,10 @@ def timing_error(plant: PWASystem, K: Array, trajectory: DesiredTrajectory, *, o
                 jumps.append(off[k])
     breaks = np.unique([0.0, *(reset.t for reset in system.resets)])
     wanted = system.states(breaks) @ (outputs @ rows[0]).T
-    size = np.maximum(np.ptp(wanted, axis=0), EPS * np.abs(wanted).max(axis=0))
+    swing, most = np.ptp(wanted, axis=0), np.abs(wanted).max(axis=0)
+    size = np.where(
+        swing > EPS * most, swing, np.where(most > 0, most, np.inf)
+    )  # of one that rests: where, if not at 0
     with np.errstate(all="ignore"):
         relative = _largest(plant, K, outputs, np.array(jumps).T) / size[:, None]
     relative = np.where(np.isnan(relative), 0.0, relative)  # nothing off, and nothing wanted

@@ -32,8 +32,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
     errors = AuditedErrors(content, loop, predicted(whole))
-    faults = growing(errors, content, errors.ticks, rate)
-    flows = errors.opened(len(content["T"][0]) if content["T"] else 0)
+    faults, flows = growing(errors, content, errors.ticks, rate), errors.opened(len(content["T"][0]))
     said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(flows)} flows"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(content['P'])} knots"]
 

@@ -31,8 +31,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("the rate of the sampled loop for uncertain parameters is out of range")
     box = UncertainLoop(whole["plant"], whole["uncertain"]["corners"], loop.K, loop.L)
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
-    wrong = growing(errors, content, errors.ticks, rate)
-    said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s proved"
+    wrong, flows = growing(errors, content, errors.ticks, rate), errors.opened(len(content["T"][0]))
+    said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s, {len(flows)} flows proved"
     faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
     if found:
         outside, claimed = left(found, Tubes(errors, []), " for uncertain parameters")
