@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, Context
 from functools import cached_property, reduce
+from itertools import islice, product
 from math import ceil
 from typing import Any, ClassVar, Self
 
@@ -48,6 +49,7 @@ from pwatrack.rational import floats
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _ROUNDED = 1e-9  # of a time in ticks
 _MOST = 300_000  # work of one proof times tubes that are looked for: an auditor decides each, in 10 steps for each
+_CORNERS = 64  # of boxes of flows, up to which each is looked at for tubes: bounds are up to a half less then
 _END = 10  # the end of a run is a tenth of it
 _LOOKS = 30  # at where predictions may cross planes, at most
 _SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
@@ -83,8 +85,10 @@ class TubeBounds(Claim):
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
             few = replace(acts, means={})  # of each channel but the tube that is needed
-            if looked := [one for one in (acts, few) if len([*one.squares, *one.means]) * work(errors) <= _MOST]:
-                found = replace(found, tubes=_Search.of(controller, found, proof).tubes(looked[0]))
+            ways = product((acts, few), (replace(errors, few=_CORNERS), errors))
+            affordable = (way for way in ways if len([*way[0].squares, *way[0].means]) * work(way[1]) <= _MOST)
+            for each, opened in islice(affordable, 1):
+                found = replace(found, tubes=_Search.of(controller, found.forms, opened, proof).tubes(each))
             yield found
 
     @classmethod
@@ -351,11 +355,12 @@ class _Search:
     shares: dict[bool, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, controller: ProvedController, claim: TubeBounds, proof: ClockedProof) -> "_Search":
-        system = claim.errors.clocked
+    def of(
+        cls, controller: ProvedController, forms: Sequence[Form], errors: SampledErrors, proof: ClockedProof
+    ) -> "_Search":
+        system = errors.clocked
         program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
-        weights = _weights(controller, claim.forms)
-        return cls(errors=claim.errors, program=program, forms=claim.forms, weights=weights)
+        return cls(errors=errors, program=program, forms=forms, weights=_weights(controller, forms))
 
     def tubes(self, acts: Acting) -> dict[Channel, tuple[Tube, ...]]:
         """Return the tubes that are proved, of each channel that has one: first that of its mean square."""

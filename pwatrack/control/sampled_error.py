@@ -60,8 +60,6 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.rational import identity, pivots, rational
 from pwatrack.real import Real
 
-_FEW = 16  # corners of boxes, up to which each is looked at: what is found is a little better than of boxes
-
 
 @dataclass(frozen=True, kw_only=True)
 class SampledErrors:
@@ -79,6 +77,7 @@ class SampledErrors:
         estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
         corners: Matrices of plants that may run in place of it, they and their means; none where it runs itself.
         sizes: Of the signals of the plant, in which forms are looked for; None where those of no file are known.
+        few: Corners of boxes of flows, up to which each is looked at: what is found is a little better then.
     """
 
     plant: PWASystem
@@ -91,6 +90,7 @@ class SampledErrors:
     estimates: OnEstimates | None = None
     corners: Sequence[Matrices] = ()
     sizes: Sizes | None = None
+    few: int = 16
 
     @classmethod
     def of(
@@ -186,7 +186,7 @@ class SampledErrors:
     def edges(self) -> int:
         """How many edges the boxes of flows have; 0 where there are few corners: each is looked at by itself then."""
         edges = sum(len(one.edges) for one, *_ in self.free)
-        return edges if len(self.paces) * prod(map(len, self.free)) * 2**edges > _FEW else 0
+        return edges if len(self.paces) * prod(map(len, self.free)) * 2**edges > self.few else 0
 
     @property
     def flows(self) -> int:
