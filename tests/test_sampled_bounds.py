@@ -678,14 +678,13 @@ def test_units_of_time_change_no_tube(of_stops: list[tuple[Spec, ProvedControlle
 def test_the_band_of_a_sampled_run_is_that_of_its_tubes(tmp_path: Path) -> None:
     """From another start, with noise: every error of the run is within it, and it ends at what acts leaves."""
     path = tmp_path / "plant.yaml"
-    more = "initial: {plant: [0.05, 0]}, noise: {y: 1e-4}, controller"
-    path.write_text(
-        STOPS.replace("SECONDS", "1").replace("initial: {plant: steady}, controller", more), encoding="utf-8"
-    )
+    more = "initial: {plant: [0.05, 0]}, noise: {std: {y: 1e-4}, sample_time: 0.01}, controller"
+    text = STOPS.replace("SECONDS", "1").replace("initial: {plant: steady}, controller", more)
+    path.write_text(text, encoding="utf-8")
     result = simulate(load_spec(path))
     bands, response, n = result.bands, result.response, 2
     assert bands.keys() == set(the_bounds(result.controller).anywhere)
     assert (np.abs(response.tracking_error[:, 0]) <= bands["output", 0]).all()
     assert (np.abs(response.x_hat - response.x) <= np.array([bands["estimate", k] for k in range(n)]).T).all()
-    assert bands["output", 0][-1] < 2 * the_bounds(result.controller).anywhere["output", 0].max()
+    assert bands["output", 0].max() > 1.5 * bands["output", 0][-1]
     assert bands["output", 0][0] >= 0.05

@@ -42,7 +42,8 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     """Return what the proofs allow of each signal at the samples of a run, (K,); nothing where they are about another.
 
     They are about a run with disturbances and noise, limits that no input comes to, and any plant of the box: then
-    w (K, n) is how large each entry of w is so far; or about the sampled loop with all that acts. What acts counts as large as it was so far, noise as it ever gets.
+    w (K, n) is how large each entry of w is so far; or about the sampled loop with all that acts. What acts counts as
+    large as it was so far, noise as it ever gets.
     """
     conditions, controller = loop.conditions, loop.controller
     free = replace(conditions, limits=None) if not limited(loop, response) else conditions
