@@ -19,7 +19,9 @@ from pwatrack.model.sizes import Sizes
 _TRIED = ((1, 1), (2, 1), (2, 2), (4, 2))  # times as many substeps, and segments of each: what is tried
 _OF_ONE = ((1, 1), (1, 2), (1, 4))  # the same of a prediction without substeps
 _MOST_WORK = 100_000  # inequalities times the square of their order: an auditor takes about 10 steps for each
-_MOST_OF_MANY = 13_000  # the same where many sample times are looked at: each takes half a second then
+_MOST_UNKNOWNS = 2_100  # of all forms: a step of the search takes a tenth of a second then
+_MOST_ALONE = 6_000  # the same of the only search there is
+_MOST_OF_MANY = 13_000, 700  # the same where many sample times are looked at: each takes half a second then
 _NEAR = 0.05  # of the longest sample time: how near to it one is looked for
 _DIGITS = 3  # of a sample time that is looked at
 _DOUBLINGS = 6  # of a sample time, or halvings, until one is found that is proved and one that is not
@@ -47,7 +49,8 @@ def with_forms(
 ) -> tuple[SampledGains, ClockedProof] | None:
     """Return gains with as many substeps as a proof needs, and that proof; None where none is found."""
     errors = SampledErrors.of(plant, gains, estimates, sizes)
-    for finer, knots in _tried(errors, _most(errors)):
+    most = _most(errors)
+    for finer, knots in _tried(errors, most, _MOST_UNKNOWNS) or _tried(errors, most, _MOST_ALONE)[:1]:
         proof = fastest(finer.clocked, knots=knots)
         if proof is not None:
             return finer.gains, proof
@@ -89,7 +92,7 @@ def longest(
         gains = sampled_gains(plant, K, L, Sampling(sample_time=h, delay=near.delay, jitter=near.jitter))
         if too_much(plant, gains, estimates):
             return None
-        for errors, knots in _tried(SampledErrors.of(plant, gains, estimates, sizes), _MOST_OF_MANY)[-1:]:
+        for errors, knots in _tried(SampledErrors.of(plant, gains, estimates, sizes), *_MOST_OF_MANY)[-1:]:
             if clocked_proof(errors.clocked, knots=knots) is not None:
                 return h, None
         return None
@@ -109,14 +112,16 @@ def longest(
     return None if found is None else found[0]
 
 
-def _tried(errors: SampledErrors, most: int) -> list[tuple[SampledErrors, int]]:
+def _tried(errors: SampledErrors, most: int, unknowns: int) -> list[tuple[SampledErrors, int]]:
     """Return errors with as many substeps as are tried, and the segments of each, as far as that is not too much."""
     gains = errors.gains
     finer = [
         (replace(errors, gains=replace(gains, substeps=more * gains.substeps)), knots)
         for more, knots in (_TRIED if gains.substeps > 1 else _OF_ONE)
     ]
-    return [(one, knots) for one, knots in finer if work(one) * knots <= most]
+    size = errors.order * (errors.order + 1) // 2
+    few = [(one, knots) for one, knots in finer if one.parts * (knots + 1) * size <= unknowns]
+    return [(one, knots) for one, knots in few if work(one) * knots <= most]
 
 
 def work(errors: SampledErrors) -> int:

@@ -32,7 +32,7 @@ _BITS = (40, 80)  # of the entries of P_k
 _DIGITS = 6  # of the diagonals of T_k
 _LOOKS = 5  # at a rate, at most, once one is proved
 _SHARES = (0.9, 0.75, 0.5)  # of what parts by themselves reach: what is asked of the whole
-_MANY = 16  # vertices, from which on each look takes seconds
+_MANY = 16, 700  # boxes, or unknowns, from which on each look takes seconds
 _OF_MANY = (0.5,)  # what is asked then
 
 Knot = tuple[Packed, Sequence[float]]  # P_k and the diagonal of T_k
@@ -118,7 +118,8 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
     if best is None or not best.rate > 0:
         return None
     most = program.most_of_parts(system.blocks, _LOOKS) or 0.0
-    for share in shares or (_OF_MANY if len(system.F) > _MANY else _SHARES):
+    many = len(system.F) > _MANY[0] or program.unknowns > _MANY[1]
+    for share in shares or (_OF_MANY if many else _SHARES):
         if best.rate >= share * most:
             break
         for one in (*program.around(share * most), replace(program, near=best.P[0])):

@@ -152,6 +152,11 @@ class ClockedForms:
         return Bound(terms, first.T @ margin @ first, None, range(e * p, (e + 1) * p), S)
 
     @property
+    def unknowns(self) -> int:
+        """How many entries all P have."""
+        return self.count * len(self.R) * (len(self.R) + 1) // 2
+
+    @property
     def step(self) -> float:
         """Time between knots."""
         return self.period / (self.parts * self.knots)

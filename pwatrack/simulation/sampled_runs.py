@@ -28,6 +28,7 @@ _SCALES = 0.01, 1.0, 100.0  # of the way to the farthest facet: in one cell, acr
 _DIRECTIONS = 6  # at each of these
 _MOST_CELLS = 8  # whose slowest deviation is a start, and facets that runs start at
 _BESIDE = 1e-3  # of the way to a facet: how far from it, with the observer on its other side
+_ALIKE = 1e-6  # of a radius: less is no difference
 _GONE = 1e-3  # of a start: what is left of one that died out
 _LONGER = 2.0  # than the slowest of the cells would take to that
 _FEWEST, _MOST = 60, 8_000  # samples of a run: one that takes more is not seen to the end
@@ -54,7 +55,7 @@ def unstable_cell(controller: ProvedController, conditions: Conditions) -> "tupl
     message = (
         f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell "
         f"'{controller.plant.cell_names[cell]}': as long as it stays there, one sample multiplies an error by "
-        f"{radius:.4g} in the long run"
+        f"{radius:.4g} in the long run{maps.grows(cell, sampling.sample_time, radius)}"
     )
     return None if longest is None else (message, maps, longest)
 
@@ -82,6 +83,18 @@ class SampleMaps:
         if not all(np.isfinite(M).all() for M in maps):
             return np.inf  # what grows is out of range
         return max(float(np.abs(np.linalg.eigvals(M)).max(initial=0.0)) for M in maps)
+
+    def grows(self, cell: int, h: float, radius: float) -> str:
+        """Say that it is the observer by itself that has a radius in a cell; "" where it is not."""
+        of = self.runs(h)
+        N, m = of.sizes["N"], self.plant.B.shape[1]
+        stepped = of.observer[cell][:, -N - m - 1 : -1]
+        if self.sampling.corrects:
+            stepped = np.linalg.matrix_power(np.vstack([np.eye(m, m + N), stepped]), of.substeps)[m:]
+        error = stepped[:, m:] + (of.M @ of.C @ stepped[:, m:] if self.sampling.corrects else 0.0)
+        own = float(np.abs(np.linalg.eigvals(error)).max()) if np.isfinite(error).all() else 0.0
+        said = ", its observer by itself: larger 'sizes' of outputs make that calmer"
+        return said if own > radius * (1 - _ALIKE) else ""
 
     def worst(self, h: float) -> tuple[int, float]:
         """Return the cell with the largest radius, and that."""

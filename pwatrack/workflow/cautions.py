@@ -200,7 +200,7 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
     change = float(np.abs(made - K).max() / np.abs(K).max()) if K.any() and np.isfinite(made).all() else 0.0
     fast, late = (0.0, 0.0) if margins is None else (margins.crossover * h, (0.5 + sampling.delay) * h)
     found = list[tuple[float, str]]()  # the time (s) that would do, and why this one is too long
-    if quadratic and change > of_gains["K"]:
+    if quadratic and change > of_gains["K"] and not sampling.corrects:  # else its gains are made for the sample time
         said = f"K acts as if changed by {100 * change:.2g} %, proved for {100 * of_gains['K']:.2g} %"
         found.append((h * of_gains["K"] / change, said))
     if margins is not None and fast > _TENTH * 2 * np.pi:
@@ -212,8 +212,9 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
         found.append((h * margins.delay / late, said))
     if found:
         short, said = min(found)
-        way = f"sample every {short:.1g} s" if short > _SHORT * h else "no sample time helps"
-        yield f"every {number_text(h)} s is slow: {said}; {way}, or lower 'sizes' of inputs: a slower K"
+        slower = "lower 'sizes' of inputs: a slower K"
+        way = f"sample every {short:.1g} s, or {slower}" if short > _SHORT * h else f"{slower}; no sample time helps"
+        yield f"every {number_text(h)} s is slow: {said}; {way}"
 
 
 def plant_questions(plant: PWASystem) -> list[str]:
