@@ -185,14 +185,19 @@ class SampledErrors:
     @property
     def edges(self) -> int:
         """How many edges the boxes of flows have; 0 where there are few corners: each is looked at by itself then."""
-        edges = sum(len(one.edges) for one, *_ in self.free)
-        return edges if len(self.paces) * prod(map(len, self.free)) * 2**edges > self.few else 0
+        count, edges = self._boxes
+        return edges if count * 2**edges > self.few else 0
 
     @property
     def flows(self) -> int:
         """How many boxes there are, or corners."""
-        edges = sum(len(one.edges) for one, *_ in self.free)
-        return len(self.paces) * prod(map(len, self.free)) * (1 if self.edges else 2**edges)
+        count, edges = self._boxes
+        return count if self.edges else count * 2**edges
+
+    @property
+    def _boxes(self) -> tuple[int, int]:
+        """How many boxes of flows there are, and the edges of each."""
+        return len(self.paces) * prod(map(len, self.free)), sum(len(one.edges) for one, *_ in self.free)
 
     def _sizes(self, of: Sizes) -> tuple[float, ...]:
         """Return the sizes of z: what moves, in a row of R, as much as all states; of an estimate what moves one."""

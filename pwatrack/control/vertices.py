@@ -57,7 +57,7 @@ class Box:
 
     Attributes:
         middle: (j, k).
-        edges: D_k, (j, k) each, of rank 1, by the last number in which they differ.
+        edges: D_k, (j, k) each, of rank 1, the first entry of each that is not 0 above 0, sorted.
     """
 
     middle: BallMatrix

@@ -74,9 +74,12 @@ class ClockedForms:
     def inside(self, L: Array, rate: float) -> "ClockedForms":
         """Return the program for L z, falling at a rate less, in periods, with edges of u and v of one length."""
         back, h = np.linalg.inv(L), self.period
-        F, U, V = L @ (self.F + rate * np.eye(len(L))) @ back * h, L @ self.U * h, self.V @ back
-        longer = np.sqrt(np.linalg.norm(U, axis=1) / np.linalg.norm(V, axis=2)).mean(axis=0)
-        U, V = U / longer, V * longer[:, None]
+        longer = self.longer(L) * np.sqrt(h)
+        F, U, V = (
+            L @ (self.F + rate * np.eye(len(L))) @ back * h,
+            L @ self.U * h / longer,
+            self.V @ back * longer[:, None],
+        )
         return replace(self, F=F, U=U, V=V, J=L @ self.J @ back, R=L @ self.R @ back, period=1.0)
 
     def longer(self, L: Array) -> Array:
