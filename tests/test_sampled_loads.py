@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import chain
@@ -22,7 +22,7 @@ from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.estimated_loads import OnEstimates, integrals
+from pwatrack.control.estimated_loads import Mean, OnEstimates, integrals
 from pwatrack.control.program import program
 from pwatrack.control.sampled_disturbances import Acting, row
 from pwatrack.control.sampled_error import SampledErrors
@@ -62,6 +62,15 @@ LOADS = {
     "constants": "{drift: {into: {z: 1}}, filling: {into: {a: 1, v: 0.5}}}",
     "sinusoids": "{shake: {into: {z: 1}, frequency: 3}, filling: {into: {a: 1}}}",
 }
+BENT = {  # a last derivative is piecewise affine: where it bends the reference alone decides, or η with it
+    "bent": {"of: v,": "of: z,", "into: {v: -1, a: 0.3}": "into: {z: -1}", "LOADS": "{filling: {into: {a: 1}}}"},
+    "bent by η": {
+        "of: v,": "of: a,",
+        "into: {v: -1, a: 0.3}": "into: {z: -1}",
+        "slope: 2,": "slope: 1,",
+        "LOADS": "{filling: {into: {a: 1}}}",
+    },
+}
 HUMMING = """
 name: a mass that hums, of which all is given
 system:
@@ -86,12 +95,20 @@ def designed(text: str, folder: Path) -> tuple[Spec, ProvedController]:
     return spec, design(spec)
 
 
-@pytest.fixture(scope="module", params=[*LOADS, "humming"])
+def written(name: str) -> str:
+    """Return the spec of that name."""
+    text = HUMMING if name == "humming" else LEANING
+    for old, new in BENT.get(name, {"LOADS": LOADS.get(name, "")}).items():
+        assert name == "humming" or old in text
+        text = text.replace(old, new)
+    return text
+
+
+@pytest.fixture(scope="module", params=[*LOADS, *BENT, "humming"])
 def loaded(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, Spec, ProvedController]:
-    text = HUMMING if request.param == "humming" else LEANING.replace("LOADS", LOADS[request.param])
-    return request.param, *designed(text, tmp_path_factory.mktemp("loaded"))
+    return request.param, *designed(written(request.param), tmp_path_factory.mktemp("loaded"))
 
 
 def gains_of(controller: ProvedController, h: float, delay: int = 0, substeps: int = 2) -> SampledGains:
@@ -233,7 +250,7 @@ def test_what_the_loop_does_is_a_mean_of_what_is_in_the_proof(
     _, _, controller = loaded
     at_ticks, between = along_the_loop(errors_of(controller, gains_of(controller, 0.02, delay)), controller, seed, 40)
     assert at_ticks < 1e-9
-    assert between < 3e-3
+    assert between < 5e-3
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -242,7 +259,7 @@ def test_so_it_is_where_ticks_come_early_and_late(seed: int, tmp_path: Path) -> 
     gains = replace(gains_of(controller, 0.02), jitter=0.006)
     at_ticks, between = along_the_loop(errors_of(controller, gains), controller, seed, 40)
     assert at_ticks < 1e-9
-    assert between < 3e-3
+    assert between < 5e-3
     at_ticks, between = along_the_loop(errors_of(controller, replace(gains, jitter=0.0)), controller, seed, 40, 0.006)
     assert between > 0.1
 
@@ -256,10 +273,10 @@ def test_so_it_is_where_x_d_is_worked_out_beforehand(loads: str, tmp_path: Path)
     found, _ = proved(spec, controller, gains_of(controller, 0.005))
     errors = errors_of(controller, found.claim(SampledLoop).gains)
     assert errors.estimates is not None
-    assert (errors.estimates.eta, np.abs(errors.estimates.x_d.floats).max() > 0.03) == (0, True)
+    assert (errors.estimates.eta, np.abs(errors.estimates.X.floats).max() > 0.03) == (0, True)
     at_ticks, between = along_the_loop(errors, controller, 0, 40)
     assert at_ticks < 1e-9
-    assert between < 3e-3
+    assert between < 5e-3
     assert not audit(json.dumps(design_certificate(spec, found)))[1]
 
 
@@ -290,11 +307,16 @@ def test_a_sample_may_begin_in_a_cell_within_the_hull(tmp_path: Path) -> None:
     assert along_the_loop(errors, controller, 0, 40)[0] < 1e-9
 
 
+def scaled(means: Sequence[Mean], by: tuple[Fraction, Fraction]) -> list[Mean]:
+    return [(X.times(by[0]), D.times(by[1])) for X, D in means]
+
+
+ONE, LESS, MORE = Fraction(1), Fraction(9, 10), Fraction(3, 2)
 WRONG: dict[str, Callable[[OnEstimates], OnEstimates]] = {
     "held as at the tick": lambda of: replace(of, cells=[(F, u.times(Fraction(0))) for F, u in of.cells]),
-    "pushed otherwise": lambda of: replace(of, moves=[c.times(Fraction(9, 10)) for c in of.moves]),
-    "moved otherwise": lambda of: replace(of, x_d=of.x_d.times(Fraction(9, 10))),
-    "turned otherwise": lambda of: replace(of, hull=[F.times(Fraction(3, 2)) for F in of.hull]),
+    "pushed otherwise": lambda of: replace(of, moves=scaled(of.moves, (LESS, ONE))),
+    "moved otherwise": lambda of: replace(of, moves=scaled(of.moves, (ONE, LESS)), hull=scaled(of.hull, (ONE, LESS))),
+    "turned otherwise": lambda of: replace(of, hull=scaled(of.hull, (MORE, ONE))),
     "in one cell": lambda of: replace(of, hull=of.hull[:1], cells=of.cells[:1], moves=of.moves[:1]),
 }
 
@@ -306,7 +328,8 @@ def test_it_is_none_of_another_loop(what: str, loaded: tuple[str, Spec, ProvedCo
     assert errors.estimates is not None
     other = replace(errors, estimates=WRONG[what](errors.estimates))
     at_ticks, between = along_the_loop(other, controller, 0, 40)
-    given = name == "humming" and what in ("moved otherwise", "in one cell")  # x_d, and the same in all cells
+    given = what == "in one cell" and name in ("humming", "bent")  # it is the same in all cells
+    given = given or (name, what) == ("humming", "moved otherwise")  # x_d is given
     assert (at_ticks > 1e-6 or between > 1e-2) != given
 
 
@@ -483,8 +506,3 @@ def test_where_nothing_is_proved_it_is_said_why(tmp_path: Path) -> None:
     spec, controller = designed(LEANING.replace("LOADS", LOADS["sinusoids"]), tmp_path)
     (claim,) = SampledLoop.prove(controller, asking(spec, controller, replace(gains_of(controller, 0.02), jitter=1e-3)))
     assert claim.sentence == f"not proved: {late}"
-    bent = LEANING.replace("LOADS", "{filling: {into: {a: 1}}}").replace("of: v,", "of: z,")
-    bent = bent.replace("into: {v: -1, a: 0.3}", "into: {z: -1}")
-    spec, controller = designed(bent, tmp_path)
-    (claim,) = SampledLoop.prove(controller, asking(spec, controller, gains_of(controller, 0.02)))
-    assert claim.missing.endswith("a last derivative of what is tracked differs between cells")

@@ -226,7 +226,7 @@ class TubeBounds(Claim):
         """Return what z may be after the tick at t = 0, (order,) each, for x less the x_d of the program."""
         errors, of = self.errors, self.errors.estimates
         if of is not None:
-            e = e + of.x_d.floats[:, : of.loads] @ delta[len(e) :]
+            e = e + of.X.floats @ delta[len(e) :]
         columns = (BallMatrix.of(v[:, None], (len(v), 1)) for v in (e, delta, np.zeros(0 if of is None else of.eta)))
         rho = np.zeros(errors.R.shape[0])
         each = ((nu.floats[:, 0], rest.floats[:, 0]) for nu, rest in errors.put_out(*columns))

@@ -1,21 +1,24 @@
 """What the program makes of estimates of loads in x_d, u_ff and η̂, and what errors of these do to a sampled loop.
 
-Let x_d, u_ff and η be those of the true loads s, in continuous time, (15) and (16) with `control.compensation`; no last
-derivative of a tracked output is to be piecewise affine. Of v = (ŝ, η̂), as the program has it at a tick, x_d is more by
-[X, N] ε than that of the true loads, with ε = (ŝ − s, η̂ − η); v' and u_ff are continuous functions of v, with the rows
-F_j = [S, 0; W_j, A_ηj] and u_j in cell j. In a sample the program goes on by the law of the cell a in which x_d is at
-its begin: η̂ one sample later, and the mean of u_ff, which is held, are
+Let x_d, u_ff and η be those of the true loads s, in continuous time, (15) and (16) with `control.compensation`. Of
+v = (ŝ, η̂), as the program has it at a tick, x_d is more by D_j ε than that of the true loads, with
+ε = (ŝ − s, η̂ − η) and D_j = [X, N_j], N_j the columns of T_j⁻¹ for η; v' is more by F_j ε, F_j = [S, 0; W_j, A_ηj].
+Both are continuous in v: one mean j of the cells on the way goes for both. What moves x_d along is
+w = (ξ_d', η') − G S s, x_d' = T_a⁻¹ w in the cell a of x_d, and B u_ff = x_d' − f(x_d) − E s. So
+
+    B u_ff is more by (c_aj − A_j D_j) ε,   c_aj = [X S − E, 0] + N_a [F_j]_η,
+
+the rows of F_j for η, but for (T_a⁻¹ − T_b⁻¹) w of the true loads, in their cell b: that is the jump of u_ff where a
+last derivative is piecewise affine; it acts from outside, and is 0 where the reference is at rest. In a sample the
+program goes on by the law of the cell a: with u_a the rows of u_ff on v, η̂ one sample later, and the mean of u_ff,
+which is held, are
 
     v + P(F_a) v',   u_ff + u_a Q(F_a) v',   P(F) = ∫ e^(F τ) dτ over h,   Q(F) = ∫ (h − τ) e^(F τ) dτ / h
 
-Between v and that of the true loads v' differs by F_j ε and u_ff by u_j ε, for one mean j of the cells. So u is more by
-
-    u_j ε + u_a Q(F_a) F_j ε,   and   δ⁺ = δ + [P(F_a) F_j ε]_η   for δ = η̂ − η
-
-for any cell a and any j, but for (u_a Q(F_a) − u_b Q(F_b)) v' and the like, with v' and the cell b of the true loads:
-that acts from outside, and is 0 where the reference is at rest. With q = [X, N] ε, held, the field of all cells has
-f(x) − f(x_d) = A_i (x − x_d − q) + A_j q, where j is that of u_j but for what A_j − A_k makes of how far x_d moved
-since the tick, which acts from outside too. So x − x_d is driven by (A_j − A_i) q + B u_j ε = (c_j − A_i [X, N]) ε.
+So u is more by u_a Q(F_a) F_j ε beside that, and δ⁺ = δ + [P(F_a) F_j ε]_η for δ = η̂ − η, for any cell a and any j,
+but for (u_a Q(F_a) − u_b Q(F_b)) v' and the like, which act from outside likewise. With q = D_j ε, held, the field of
+all cells has f(x) − f(x_d) = A_i (x − x_d − q) + A_j q, where A_j D_j is that of u_ff but for what A_j − A_k makes of
+how far x_d moved since the tick, which acts from outside too. So x − x_d is driven by (c_aj − A_i D_j) ε.
 """
 
 from collections.abc import Sequence
@@ -25,8 +28,8 @@ from fractions import Fraction
 import flint
 import numpy as np
 
-from pwatrack.ball_matrix import BallMatrix, above, absolute, beside, different, zero
-from pwatrack.control.vertices import outermost, outermost_cells
+from pwatrack.ball_matrix import BallMatrix, above, absolute, beside, different, each, places, zero
+from pwatrack.control.vertices import outermost
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.rational import fraction_of, identity, number
@@ -35,9 +38,9 @@ _BITS = 100  # of the entries of an integral and its terms, which may cancel; wh
 _MORE = 1 + Fraction(1, 2**60)  # times a radius that is rounded
 _TAIL = Fraction(1, 2**80)  # share of h below which the rest of a sum may be
 _NOT_AT_INPUTS = "loads that are estimated do not act at inputs, known exactly, while x_d is given"
-_BENT = "loads that are estimated move x_d, and a last derivative of what is tracked differs between cells"
 _LATE = "ticks come early and late, and a load that is estimated oscillates"
 Cell = tuple[BallMatrix, BallMatrix]  # F_a in 1/s, (k + p, k + p), and u_a, (m, k + p)
+Mean = tuple[BallMatrix, BallMatrix]  # F_j or c_aj, in 1/s, (·, k + p), and D_j, (n, k + p)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,17 +49,15 @@ class OnEstimates:
 
     Attributes:
         loads: k.
-        x_d: [X, N], (n, k + p).
-        moves: c_j = A_j [X, N] + B u_j, (n, k + p), in 1/s: all others are means of these.
+        moves: c_aj and D_j: all others are means of these.
         cells: F_a and u_a of all cells that differ.
-        hull: F_j, (k + p, k + p), in 1/s: all others are means of these.
+        hull: F_j and D_j: all others are means of these.
     """
 
     loads: int
-    x_d: BallMatrix
-    moves: Sequence[BallMatrix]
+    moves: Sequence[Mean]
     cells: Sequence[Cell]
-    hull: Sequence[BallMatrix]
+    hull: Sequence[Mean]
 
     @classmethod
     def of(cls, plant: PWASystem, form: NormalForm | None, X: BallMatrix, filtered: int) -> "OnEstimates | None":
@@ -67,46 +68,58 @@ class OnEstimates:
         loads, (n, m) = plant.loads, plant.B.shape
         if loads is None or at_inputs(plant, form):
             return None
-        k, S, B = loads.S.shape[0], loads.S, plant.exact.B
+        k, S = loads.S.shape[0], loads.S
         if form is None:
-            u = zero(m, k) - _matched(plant)
-            return cls(loads=k, x_d=X, moves=[B @ u], cells=[(S, u)], hull=[S])
-        T, Z, push = form.exact.T[0], form.exact.directions, loads.E - X @ S
-        last, eta = (np.cumsum(form.degrees) - 1).tolist(), range(form.r, form.r + filtered)
-        C, own = T.part(last, range(n)), T.part(eta, range(n))
-        right = Z @ (C @ B @ Z).inverse()
-        driven = [own @ (A @ X + push) for A in different(plant.exact.A)]
-        if not any(row.radius or any(row.centre.entries()) for row in driven):
-            own, eta = zero(0, n), range(0)
-        whole, p = beside(X, form.exact.inverse[0].part(range(n), eta)), len(eta)
+            return cls(
+                loads=k, moves=[(zero(n, k) - loads.E, X)], cells=[(S, zero(m, k) - _matched(plant))], hull=[(S, X)]
+            )
+        A, T, inverse, Z = plant.exact.A, form.exact.T, form.exact.inverse, form.exact.directions
+        push, last = loads.E - X @ S, (np.cumsum(form.degrees) - 1).tolist()
+        own = T[0].part(range(form.r, form.r + filtered), range(n))
+        if not any(row.radius or any(row.centre.entries()) for row in (own @ (A_i @ X + push) for A_i in different(A))):
+            own = zero(0, n)
+        p = own.shape[0]
+        eta = each(lambda back: back.part(range(n), range(form.r, form.r + p)), inverse)
 
-        def law(A: BallMatrix) -> Cell:
-            rate = A @ whole + beside(push, zero(n, p))
-            return above(beside(S, zero(k, p)), own @ rate), zero(m, k + p) - right @ C @ rate
+        def law(i: int) -> tuple[BallMatrix, BallMatrix, BallMatrix]:
+            """Return F, u and D of a cell."""
+            D, C = beside(X, eta[i]), T[i].part(last, range(n))
+            rate = A[i] @ D + beside(push, zero(n, p))
+            u = zero(m, k + p) - Z @ (C @ plant.exact.B @ Z).inverse() @ C @ rate
+            return above(beside(S, zero(k, p)), own @ rate), u, D
 
-        outer = outermost_cells(plant)
-        return cls(
-            loads=k,
-            x_d=whole,
-            moves=outermost([A @ whole + B @ law(A)[1] for A in outer]),
-            cells=[law(A) for A in different(plant.exact.A)],
-            hull=different([law(A)[0] for A in outer]),
-        )
+        laws, one = [law(i) for i in places(A)], len(different(T)) == 1
+        hull = _means([law(i)[::2] for i in plant.hull] if one else [(F, D) for F, _, D in laws])
+        alone = beside(zero(n, k) - push, zero(n, p))
+        moves = [(alone + N @ F.part(range(k, k + p), range(k + p)), D) for N in outermost(eta) for F, D in hull]
+        return cls(loads=k, moves=_means(moves), cells=[(F, u) for F, u, _ in laws], hull=hull)
+
+    @property
+    def order(self) -> int:
+        """How many entries v has."""
+        return self.hull[0][0].shape[0]
 
     @property
     def eta(self) -> int:
         """How many η̂ count."""
-        return self.x_d.shape[1] - self.loads
+        return self.order - self.loads
 
-    def vertices(self, h: Fraction) -> list[BallMatrix]:
-        """Return rows on ε: what is held beside u_j ε, and δ after a sample of length h (s), (m + p, k + p) each."""
-        size, found = self.x_d.shape[1], list[BallMatrix]()
-        eye, eta = BallMatrix(identity(size)), range(self.loads, size)
+    @property
+    def X(self) -> BallMatrix:
+        """What x_d is more by for each ŝ, (n, k)."""
+        D = self.hull[0][1]
+        return D.part(range(D.shape[0]), range(self.loads))
+
+    def vertices(self, h: Fraction) -> list[tuple[BallMatrix, BallMatrix, BallMatrix]]:
+        """Return rows on ε: D_j, what is held beside u_ff at the tick, and δ after a sample of length h (s)."""
+        found, eye, columns = list[BallMatrix](), BallMatrix(identity(self.order)), range(self.order)
         for F_a, u_a in self.cells:
             P, Q = integrals(F_a, h)
             mean = u_a @ Q
-            found += [above(mean @ F_j, (eye + P @ F_j).part(eta, range(size))) for F_j in self.hull]
-        return different(found)
+            found += [above(D, mean @ F, (eye + P @ F).part(columns[self.loads :], columns)) for F, D in self.hull]
+        n, m = self.hull[0][1].shape[0], self.cells[0][1].shape[0]
+        x, u, eta = range(n), range(n, n + m), range(n + m, n + m + self.eta)
+        return [(X.part(x, columns), X.part(u, columns), X.part(eta, columns)) for X in different(found)]
 
     def turned(self, h: float) -> float:
         """Return how large h times F is at most, h in s, in the largest sum of a row."""
@@ -126,8 +139,6 @@ def refused(plant: PWASystem, form: NormalForm | None, jitter: float) -> str:
         return ""
     if form is None and not _is_matched(plant):
         return _NOT_AT_INPUTS
-    if form is not None and any(form.piecewise):
-        return _BENT
     return _LATE if jitter and any(loads.S.centre.entries()) else ""
 
 
@@ -143,6 +154,13 @@ def _is_matched(plant: PWASystem) -> bool:
     assert loads is not None
     known = B.radius is None and loads.E.radius is None
     return known and B.centre.rank() == B.shape[1] and B.centre * _matched(plant).centre == loads.E.centre
+
+
+def _means(pairs: Sequence[Mean]) -> list[Mean]:
+    """Return those that have all others in their hull, each pair as one."""
+    rows = pairs[0][0].shape[0]
+    whole, columns = outermost([above(*pair) for pair in pairs]), range(pairs[0][0].shape[1])
+    return [(X.part(range(rows), columns), X.part(range(rows, X.shape[0]), columns)) for X in whole]
 
 
 def integrals(F: BallMatrix, h: Fraction) -> tuple[BallMatrix, BallMatrix]:

@@ -34,10 +34,10 @@ it in Δ', and ω by B_p.
 steps of the generator beside (15), and what merged cells leave out act from outside. Where the program predicts all
 cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all.
 
-Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the true s, e' has (c_j − A_i [X, N]) ε and not
+Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the true s, e' has (c_aj − A_i D_j) ε and not
 −E σ_0, and z has ε and δ more, held as ν is: see `estimated_loads`. At a tick
 
-    ε⁺ = (σ_0⁺ or with delay σ_{d−1}, δ),   ν⁺ = K (e + Δ_0⁺ or Δ_{d−1} − [X, N] ε⁺) + u_a Q(F_a) F_j ε⁺,
+    ε⁺ = (σ_0⁺ or with delay σ_{d−1}, δ),   ν⁺ = K (e + Δ_0⁺ or Δ_{d−1} − D_j ε⁺) + u_a Q(F_a) F_j ε⁺,
     δ⁺ = [ε⁺ + P(F_a) F_j ε⁺]_η
 """
 
@@ -131,7 +131,7 @@ class SampledErrors:
     @property
     def more(self) -> tuple[int, ...]:
         """How many entries ε and δ have."""
-        return () if self.estimates is None else (self.estimates.x_d.shape[1], self.estimates.eta)
+        return () if self.estimates is None else (self.estimates.order, self.estimates.eta)
 
     @property
     def parts(self) -> int:
@@ -204,7 +204,8 @@ class SampledErrors:
         Delta, rho = np.concatenate([of.state, of.load]), np.abs(self.R.floats) @ of.state
         z = [of.state, of.input, *[Delta] * self.predicted, *[rho] * self.predicted]
         if self.estimates is not None:
-            shares = (np.abs(self.estimates.x_d.floats) / of.state[:, None]).max(axis=0)
+            x_d = np.abs([D.floats for _, D in self.estimates.hull]).max(axis=0)
+            shares = (x_d / of.state[:, None]).max(axis=0)
             own = np.concatenate([of.load, np.ones(self.estimates.eta)])
             epsilon = 1 / np.where(shares > 0, shares, 1 / own)
             z += [epsilon, epsilon[len(epsilon) - self.estimates.eta :]]
@@ -254,8 +255,8 @@ class SampledErrors:
                 [above(self._row(n, {0: A_c, 1: B_c}), self._row(n, {0: A, 1: B})) for A_c, B_c, A in each]
             )
         if self.estimates is not None:
-            D, pairs = self.estimates.x_d, product(self.cells, self.estimates.moves)
-            rows = [self._row(n, {0: A_i, 1: B, at: c - A_i @ D}) for A_i, c in pairs]
+            pairs = product(self.cells, self.estimates.moves)
+            rows = [self._row(n, {0: A_i, 1: B, at: c - A_i @ D}) for A_i, (c, D) in pairs]
         else:
             minus = {} if loads is None or self.gains.delay else {2: zero(n, N) - beside(zero(n, n), loads.E)}
             rows = [self._row(n, {0: A_i, 1: B} | minus) for A_i in self.cells]
@@ -283,14 +284,12 @@ class SampledErrors:
                 nu = nu - U @ sigma
             return [(nu, zero(0, len(columns)))]
         found, epsilon = list[tuple[BallMatrix, BallMatrix]](), above(sigma, delta)
-        for vertex in self._held:
-            more = vertex @ epsilon
-            rest = above(epsilon, more.part(range(m, vertex.shape[0]), columns))
-            found.append((nu - K @ self.estimates.x_d @ epsilon + more.part(range(m), columns), rest))
+        for D, more, after in self._held:
+            found.append((nu - (K @ D - more) @ epsilon, above(epsilon, after @ epsilon)))
         return found
 
     @cached_property
-    def _held(self) -> list[BallMatrix]:
+    def _held(self) -> list[tuple[BallMatrix, BallMatrix, BallMatrix]]:
         assert self.estimates is not None
         return self.estimates.vertices(Real.of(self.gains.sample_time).centre)
 

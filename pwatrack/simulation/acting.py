@@ -58,7 +58,7 @@ def acting(
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
     runs = program(controller, Conditions(sampling=sampling))
     moving = (rows[..., : runs.sizes["N"] - runs.sizes["n"]] for rows in (runs.generator, runs.guards, runs.x_d))
-    swings = errors.estimates is not None and any(any(F.centre.entries()) for F in errors.estimates.hull)
+    swings = errors.estimates is not None and any(any(F.centre.entries()) for F, _ in errors.estimates.hull)
     played = trajectory.preview is not None or swings or any(rows.any() for rows in moving)
     end = trajectory.exosystem.end
     duration = duration if end is None else min(duration, end)

@@ -5,7 +5,7 @@ from itertools import accumulate
 from typing import Any
 
 from .balls import Ball, added_or, outermost, sides, sizes, stacked, unlike, zero
-from .form import coordinates
+from .form import coordinates, once
 from .matrices import AuditFault, added, identity, inverted, product, rank, transposed
 from .plant import AuditedPlant
 from .reading import matrix
@@ -19,11 +19,12 @@ _MORE = 100  # of each entry of an integral and its terms, which may cancel
 class Estimates:
     """v = (s_hat, eta_hat) at a tick, and epsilon, by how much it is more than that of the true loads.
 
-    In cell j v' has the rows F_j on v and u_ff has u_j; x_d is [X, N] v. In a sample the program goes on by the law of
-    the cell a in which it begins, so that beside u_j epsilon it holds u_a Q(F_a) F_j epsilon more, and has
-    epsilon + P(F_a) F_j epsilon at the end, P the integral of e^(F t), Q that of (h - t) / h of it. While it is held,
-    x - x_d has c_j epsilon beside A_i (x - x_d - [X, N] epsilon), c_j = A_j [X, N] + B u_j. eta_hat is left out where
-    no load acts on it.
+    In cell j v' has the rows F_j on v, x_d has D_j = [X, N_j], and u_ff has u_j. From v of the true loads to that of
+    the program F and D are those of one mean j, and B u_ff is more by (c_aj - A_j D_j) epsilon, a the cell in which the
+    program is and c_aj = [X S - E, 0] + N_a (rows of F_j for eta). In a sample the program goes on by the law of a, so
+    that beside that it holds u_a Q(F_a) F_j epsilon more, and has epsilon + P(F_a) F_j epsilon at the end, P the
+    integral of e^(F t), Q that of (h - t) / h of it. While it is held, x - x_d has c_aj epsilon beside
+    A_i (x - x_d - D_j epsilon). eta_hat is left out where no load acts on it.
     """
 
     def __init__(self, plant: AuditedPlant, X: Ball | None, generator: Any) -> None:
@@ -45,48 +46,63 @@ class Estimates:
         U = product(inverted(product(back, B)), product(back, E))
         if product(B, U) != E:
             raise AuditFault("a load enters where no input does, and x_d is given")
-        u = -Ball(U)
-        self.p, self.x_d = 0, zero(self.n, self.k)
-        self.moves, self.cells, self.hull = [self.plant.B @ u], [(self.S, u)], [self.S]
+        self.p, X = 0, zero(self.n, self.k)
+        self.moves, self.cells, self.hull = [(-self.E, X)], [(self.S, -Ball(U))], [(self.S, X)]
 
     def shifted(self, X: Ball, generator: Any) -> None:
         """Take x_d + X s_hat, and what goes with it."""
         plant = self.plant
-        T, C = coordinates(plant, generator)
-        if len(unlike(T)) > 1:
-            raise AuditFault("loads move x_d, and a last derivative differs between cells")
-        degrees, Z = generator["relative_degrees"], Ball(matrix(generator["directions"]))
-        r, last = sum(degrees), [at - 1 for at in accumulate(degrees)]
-        self.right = Z @ (C[0] @ plant.B @ Z).inverse()
-        self.C = stacked(*map(T[0].row, last))
-        self.push = self.E - X @ self.S
+        T, degrees = coordinates(plant, generator)[0], generator["relative_degrees"]
+        r, last, one = sum(degrees), [at - 1 for at in accumulate(degrees)], len(unlike(T)) == 1
+        if plant.elements is not None and not one:
+            raise AuditFault("the last derivative of an output differs between cells, which are not listed")
+        self.Z, self.X, self.push, self.last = Ball(matrix(generator["directions"])), X, self.E - X @ self.S, last
         etas = [T[0].row(j) for j in range(r, self.n)]
         driven = (row @ (A @ X + self.push) for row in etas for _, A in unlike(plant.A))
         acted_on = any(open_ or any(map(any, centre)) for centre, open_ in driven)
         self.p, self.own = (len(etas), stacked(*etas)) if acted_on else (0, Ball([]))
-        self.x_d = sides(X, *map(T[0].inverse().column, range(r, r + self.p)))
+
+        def eta(back: Ball) -> Ball:
+            """Return the columns of x for eta."""
+            return sides(zero(self.n, 0), *map(back.column, range(r, r + self.p)))
+
+        N = once(lambda T_i: eta(T_i.inverse()), T)
         everywhere = plant.A if plant.elements is None else plant.elements.fields(plant.elements.slopes)[0]
-        outer = outermost(plant.A)
-        self.cells = [self.law(A) for _, A in unlike(everywhere)]
-        self.moves = outermost([A @ self.x_d + plant.B @ self.law(A)[1] for A in outer])
-        self.hull = [F for _, F in unlike([self.law(A)[0] for A in outer])]
+        pairs = [(A, 0 if one else i) for i, A in unlike(everywhere)]
+        laws = [self.law(A, T[i], N[i]) for A, i in pairs]
+        self.cells = [(F, u) for F, u, _ in laws]
+        corners = [self.law(A, T[0], N[0]) for A in outermost(plant.A)] if one else laws
+        self.hull = means([(F, D) for F, _, D in corners])
+        alone = sides(-self.push, zero(self.n, self.p))
+        if self.p == 0:
+            self.moves = means([(alone, D) for _, D in self.hull])
+            return
+        rows = [(F.rows(self.k, self.k + self.p), D) for F, D in self.hull]
+        self.moves = means([(alone + N_a @ F_eta, D) for N_a in outermost(N) for F_eta, D in rows])
 
-    def law(self, A: Ball) -> tuple[Ball, Ball]:
-        """Return F_j and u_j of a cell."""
-        rate = A @ self.x_d + sides(self.push, zero(self.n, self.p))
-        return stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate), -(self.right @ self.C @ rate)
+    def law(self, A: Ball, T: Ball, N: Ball) -> tuple[Ball, Ball, Ball]:
+        """Return F_j, u_j and D_j of a cell."""
+        D, C = sides(self.X, N), stacked(*map(T.row, self.last))
+        rate = A @ D + sides(self.push, zero(self.n, self.p))
+        u = -(self.Z @ (C @ self.plant.B @ self.Z).inverse() @ C @ rate)
+        return stacked(sides(self.S, zero(self.k, self.p)), self.own @ rate), u, D
 
-    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball]]:
-        """Return what is held beside u_j epsilon, and eta_hat - eta one sample later: rows on epsilon."""
-        found, eye = list[Ball](), Ball(identity(self.k + self.p, 1))
+    def vertices(self, h: Fraction) -> list[tuple[Ball, Ball, Ball]]:
+        """Return D_j, what is held beside u_ff at the tick, and eta_hat - eta one sample later: rows on epsilon."""
+        found, eye, end = list[Ball](), Ball(identity(self.k + self.p, 1)), self.k + self.p
         for F_a, u_a in self.cells:
             P, Q = integrals(F_a, h)
             held = u_a @ Q
-            found += [stacked(held @ F_j, eye + P @ F_j) for F_j in self.hull]
-        m = len(self.plant.B[0][0])
-        each = [stacked(X.rows(0, m), X.rows(m + self.k, m + self.k + self.p)) for X in found]
-        kept = [short(ball, _DIGITS) for _, ball in unlike(each)]
-        return [(X.rows(0, m), X.rows(m, m + self.p)) for X in kept]
+            found += [stacked(held @ F, (eye + P @ F).rows(self.k, end), D) for F, D in self.hull]
+        m, kept = len(self.plant.B[0][0]), [ball for _, ball in unlike(found)]
+        made = [(X.rows(m + self.p, m + self.p + self.n), short(X.rows(0, m + self.p), _DIGITS)) for X in kept]
+        return [(D, X.rows(0, m), X.rows(m, m + self.p)) for D, X in made]
+
+
+def means(pairs: list[tuple[Ball, Ball]]) -> list[tuple[Ball, Ball]]:
+    """Return those that have all others in their hull, each pair as one."""
+    first = len(pairs[0][0][0])
+    return [(X.rows(0, first), X.rows(first, len(X[0]))) for X in outermost([stacked(*pair) for pair in pairs])]
 
 
 def integrals(F: Ball, h: Fraction) -> tuple[Ball, Ball]:

@@ -30,8 +30,8 @@ class AuditedErrors:
     error change. A tick corrects the last prediction by M C, the others get older, nu = K (e + Delta) anew for the
     prediction that is delay ticks old, and rho = 0. Loads that are constants at inputs, E = B U, one for each tracked
     output, act on u alone: with delay, nu has - U sigma of that prediction, and d has no sigma. Of others x_d is that
-    of the true loads, and d has (c_j - A_i [X, N]) epsilon in place of it, epsilon and delta held: see `estimates`. A
-    tick makes epsilon of the sigma that nu is made of and of delta; nu has - K [X, N] epsilon and what is held more,
+    of the true loads, and d has (c_aj - A_i D_j) epsilon in place of it, epsilon and delta held: see `estimates`. A
+    tick makes epsilon of the sigma that nu is made of and of delta; nu has - K D_j epsilon and what is held more,
     and delta is what eta_hat is off one sample later. Where one of some corners runs, d has its A_i and B, and each
     observer's error A_i e + B nu less that more, for the same i.
     """
@@ -159,8 +159,8 @@ class AuditedErrors:
         """Return the rows of d where the plant of the design runs."""
         B, at = self.plant.B, 2 + 2 * self.predicted
         if self.estimates is not None:
-            pairs, D = product(self.cells, self.estimates.moves), self.estimates.x_d
-            return [self.row(self.n, {0: A, 1: B, at: c - A @ D}) for A, c in pairs]
+            pairs = product(self.cells, self.estimates.moves)
+            return [self.row(self.n, {0: A, 1: B, at: c - A @ D}) for A, (c, D) in pairs]
         sigma = {}
         if self.plant.loads is not None and not self.late:
             sigma = {2: sides(zero(self.n, self.n), -self.plant.loads[0])}
@@ -185,9 +185,10 @@ class AuditedErrors:
             U = Ball([[Fraction(k == at) for at in self.at] for k in range(self.m)])
             return [(nu - U @ sigma if self.late and self.at else nu, delta)]
         epsilon = stacked(sigma, delta)
-        nu = nu - self.K @ self.estimates.x_d @ epsilon
-        vertices = self.estimates.vertices(self.period)
-        return [(nu + more @ epsilon, stacked(epsilon, after @ epsilon)) for more, after in vertices]
+        found = list[tuple[Ball, Ball]]()
+        for D, more, after in self.estimates.vertices(self.period):
+            found.append((nu - (self.K @ D - more) @ epsilon, stacked(epsilon, after @ epsilon)))
+        return found
 
     def row(self, height: int, blocks: dict[int, Ball]) -> Ball:
         """Return rows on them that are 0 but for some blocks."""
