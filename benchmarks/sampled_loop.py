@@ -89,7 +89,8 @@ def _all_of_size_one(controller: ProvedController, _: object) -> Acting:
     found: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
     found |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
     H = plant.partition.H
-    return Acting(squares=found, means={}, beside={}, planes=H, near=np.zeros((1, len(H))), changes=np.zeros(1))
+    near = np.zeros((1, len(H)))
+    return Acting(squares=found, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1))
 
 
 def main(paths: list[Path]) -> None:

@@ -149,6 +149,7 @@ def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance
         beside={},
         planes=np.eye(1),
         near=np.zeros((K, 1)),
+        apart=np.zeros((K, 1)),
         changes=np.zeros(1),
     )
     one = Tube(
@@ -181,7 +182,7 @@ def fine_walk(spec: Spec, controller: ProvedController, start: list[float], fine
     claim, trajectory, plant = the_bounds(controller), controller.trajectory, controller.plant
     gains = claim.errors.gains
     runs = program(controller, Conditions(sampling=Sampling(sample_time=gains.sample_time)))
-    holds = acting.held(runs, np.array(start))
+    holds = acting.held(runs, np.array(start), np.zeros(0), np.zeros((0, 0)))
     r, step = gains.substeps, gains.sample_time / (gains.substeps * fine)
     z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
     trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=spec.scenario.duration, sample_time=step)

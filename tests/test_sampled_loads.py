@@ -432,6 +432,7 @@ def of_size_one(controller: ProvedController, _: object) -> Acting:
         beside={},
         planes=plant.partition.H,
         near=near,
+        apart=near,
         changes=np.zeros(plant.B.shape[1]),
     )
 

@@ -37,7 +37,7 @@ from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
-from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row
+from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row, shifted
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_search import work
 from pwatrack.control.words import Words
@@ -133,10 +133,12 @@ class TubeBounds(Claim):
     @cached_property
     def from_zero(self) -> dict[Form, Array]:
         """What each signal is at most in each substep, (K,), from error 0 on; nothing where something has no tube."""
-        where = np.ones(len(self.acts.near), dtype=bool)
+        where = np.ones((2, len(self.acts.near)), dtype=bool)
+        planes, of = self.acts.planes, self.errors
+        rows = (self.acts.near, across(of, planes)), (self.acts.apart, shifted(of, planes))
         for _ in range(_LOOKS):
             levels = self._levels(where)
-            near = (self.acts.near <= self._off(levels)).any(axis=1)
+            near = np.array([(least <= self._off(levels, each)).any(axis=1) for least, each in rows])
             if (near >= where).all():
                 break
             where = near & where
@@ -175,19 +177,21 @@ class TubeBounds(Claim):
     @cached_property
     def _everywhere(self) -> dict[Channel, list[Array]]:
         """V^½ of each tube in each substep, where predictions may cross planes at any time."""
-        return self._levels(np.ones(len(self.acts.near)))
+        return self._levels(np.ones((2, len(self.acts.near))))
 
     def _levels(self, where: Array) -> dict[Channel, list[Array]]:
-        """Return V^½ of each tube in each substep, where predictions cross planes in some substeps at most."""
+        """Return V^½ of each tube in each substep, where predictions, and x_d by estimates, cross planes at most."""
         found, gains = dict[Channel, list[Array]](), self.errors.gains
+        crossing = {"moved": where[0], "drawn": where[1], "cell": where[1], "eta": where[1]}
         for channel, each in self.tubes.items():
-            acting = where if channel[0] == "moved" else 1.0
+            acting = crossing.get(channel[0], 1.0)
             found[channel] = [level(self.acts, channel, one, gains, acting) for one in each]
         return found
 
-    def _off(self, levels: Mapping[Channel, Sequence[Array]]) -> Array:
-        """Return how far predictions may be from x_d + e₀ across each plane, (K, P)."""
-        rows = across(self.errors, self.acts.planes)
+    def _off(self, levels: Mapping[Channel, Sequence[Array]], rows: Array) -> Array:
+        """Return what some rows (A, P, order) read off z at most, the largest of each A, (K, P)."""
+        if not len(rows):
+            return np.full((len(self.acts.near), rows.shape[1]), -1.0)
         flat = np.concatenate(rows)
         each = self._sum(levels, len(flat), lambda one: one.spread(flat))
         return np.asarray(each.reshape(len(each), *rows.shape[:2]).max(axis=1))
@@ -259,6 +263,14 @@ class TubeBounds(Claim):
             size = _above(float(np.sqrt(squares.max())))
             if kind == "input":
                 yield (f"steps of {plant.inputs[k]}", units.get(plant.inputs[k], "")), size
+            elif kind == "drawn":
+                name, unit = words.cause(("disturbance", k))[1:]
+                yield (f"{name} from x_d moving in a sample", unit), size
+            elif kind == "cell":
+                yield (f"u_ff of another cell on {plant.inputs[k]}", units.get(plant.inputs[k], "")), size
+            elif kind == "eta":
+                assert controller.form is not None
+                yield (f"{controller.form.eta_names[k]} stepped in another cell", ""), size
             elif kind == "deviation":
                 yield (f"what is merged of {merged[k].nonlinearity.name}", ""), size
             elif kind in ("moved", "nominal"):
@@ -336,11 +348,12 @@ def shown(sizes: Mapping[Form, float]) -> Iterator[tuple[Form, float]]:
 
 
 def seen(controller: ProvedController) -> Iterator[Form]:
-    """Yield the signals that are bounded: what is tracked, inputs, errors of the prediction."""
+    """Yield the signals that are bounded: what is tracked, errors of the prediction; inputs if no load moves x_d."""
     n, m = controller.plant.B.shape
     tracked = controller.tracking
     yield from ((tracked, k) for k in range(n if tracked == "state" else len(controller.plant.tracked)))
-    yield from (("input", k) for k in range(m))
+    if controller.compensation.alone:
+        yield from (("input", k) for k in range(m))
     yield from (("estimate", k) for k in range(n))
 
 

@@ -52,7 +52,8 @@ MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
 _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 
 Loop = Literal["joint", "controller", "observer"]
-Channel = tuple[Literal["disturbance", "noise", "start", "input", "deviation", "moved", "nominal"], int]
+Acts = Literal["disturbance", "noise", "start", "input", "deviation", "moved", "nominal", "drawn", "cell", "eta"]
+Channel = tuple[Acts, int]
 Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive", "change"], int]
 
 

@@ -39,6 +39,11 @@ class Compensation:
     rate: Array  # η̂' + rate[i] ŝ, (l, n − r, p); without rows where x_d is given
     guards: Array  # what ŝ adds to where the cells of x_d end, (k, p): see `DesiredTrajectory`
 
+    @property
+    def alone(self) -> bool:
+        """Whether ŝ changes nothing but u_ff."""
+        return not (any(self.X.centre.entries()) or self.X.radius is not None or self.rate.any())
+
 
 def compensation(
     plant: PWASystem, form: NormalForm | None, filtered: int, *, played_back: bool = False

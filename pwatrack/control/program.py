@@ -149,8 +149,8 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
     gains = controller.sampled_gains(sampling) if sampling.corrects else None
     if given and controller.trajectory.preview:
         added = beside_given(plant, added.X)
-    flows = _flows(controller, trajectory)
-    u_ff, late = _on_estimates(trajectory.u_ff, added.u_ff), _ahead(controller, sampling, flows.shape[1])
+    each = flows(controller, trajectory)
+    u_ff, late = on_estimates(trajectory.u_ff, added.u_ff), _ahead(controller, sampling, each.shape[1])
     no_limits = np.tile([-np.inf, np.inf], (m, 1))
     rates, quanta = conditions.rates, conditions.quanta
     found = SampledController(
@@ -162,11 +162,11 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
         observer=_observer(controller, steps) if gains is None else _prediction(controller, gains),
         C=plant.observed.C.floats,
         M=np.zeros((0, len(plant.C))) if gains is None else gains.M,
-        generator=np.array([steps(F_j)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in flows]) @ late,
-        guards=_on_estimates(trajectory.guards, added.guards) @ late,
+        generator=np.array([steps(F_j)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in each]) @ late,
+        guards=on_estimates(trajectory.guards, added.guards) @ late,
         sides=trajectory.signs,
-        x_d=_on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))) @ late,
-        u_ff=(u_ff if gains is None else u_ff @ _means(flows, sampling.sample_time)) @ late,
+        x_d=on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))) @ late,
+        u_ff=(u_ff if gains is None else u_ff @ means(each, sampling.sample_time)) @ late,
         K=controller.design.K if gains is None else gains.K,
         limits=no_limits if conditions.limits is None else conditions.limits,
         change=np.full(m, np.inf) if rates is None else rates * sampling.sample_time,
@@ -218,21 +218,21 @@ def _prediction(controller: ProvedController, gains: SampledGains) -> Array:
     return np.array([expm(F_i * (gains.sample_time / gains.substeps))[m : m + N] for F_i in F])
 
 
-def _flows(controller: ProvedController, trajectory: DesiredTrajectory) -> Array:
+def flows(controller: ProvedController, trajectory: DesiredTrajectory) -> Array:
     """Return F of (ŝ, η̂, w, 1)' = F (ŝ, η̂, w, 1) in each cell of x_d: (15), while its reference and the loads go on."""
     loads, S, rate = controller.plant.loads, trajectory.exosystem.S, trajectory.rate
     cells, p, size = rate.shape
     k = 0 if loads is None else len(loads.S.floats)
     F = np.zeros((cells, k + size, k + size))
     if p:
-        F[:, k : k + p] = _on_estimates(rate, controller.compensation.rate)
+        F[:, k : k + p] = on_estimates(rate, controller.compensation.rate)
     F[:, k + p : k + size - 1, k + p : k + size - 1] = S
     if loads is not None:
         F[:, :k, :k] = loads.S.floats
     return F
 
 
-def _means(flows: Array, h: float) -> Array:
+def means(flows: Array, h: float) -> Array:
     """Return the means of e^(F t) over the sample in which an input is held."""
     N = flows.shape[1]
     zero = np.zeros((N, N))
@@ -248,7 +248,7 @@ def _ahead(controller: ProvedController, sampling: Sampling, size: int) -> Array
     return found
 
 
-def _on_estimates(rows: Array, added: Array) -> Array:
+def on_estimates(rows: Array, added: Array) -> Array:
     """Return rows on (ŝ, η̂, w, 1) of rows on (η̂, w, 1) and what estimates of loads add."""
     return np.concatenate([added, rows], axis=-1)
 

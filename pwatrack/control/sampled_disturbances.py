@@ -14,6 +14,9 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
                          inputs are late only (Δ_0, σ_0)⁺
     ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
     ("nominal", k)       R_k e₀: it acts by F_i − F₀
+    ("drawn", k)         d in e_k' alone, so that ρ' has R ε_k d
+    ("cell", k)          d on the k-th input as it is put out, as ("input", k) is
+    ("eta", k)           d on the k-th entry of δ at a tick
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
 Where λ times as much time passes as the program counts, in which e' is λ times as large and Δ' has (1 − λ) of it more,
@@ -23,7 +26,8 @@ V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 
 square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
 
 What moved drives by A_a − A_b, of the cells of the prediction as its substep began and now: by nothing in a substep in
-which both are on one side of every plane.
+which both are on one side of every plane. The last three are of estimates of loads, see `simulation.acting_estimates`:
+they are there in a sample only if these move x_d across a plane from where it is in it.
 """
 
 from collections.abc import Mapping
@@ -51,6 +55,7 @@ class Acting:
         beside: How large at most that is which signals have beside c z, (K,): that of the nominal loop.
         planes: Normals of the planes between cells, (P, n).
         near: How near x_d + e₀ comes to each of them, in H x, (K, P).
+        apart: How near x_d comes to each of them in the sample, and that of the program at its tick, likewise.
         changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
         along: Between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held;
             x_d, u_ff, eta_hat and w at ticks.
@@ -61,6 +66,7 @@ class Acting:
     beside: Mapping[Form, Array]
     planes: Array
     near: Array
+    apart: Array
     changes: Array
     along: Mapping[str, Array] = field(default_factory=dict)
 
@@ -76,7 +82,7 @@ def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where
         where: 0 for substeps in which it is known not to act, (K,).
     """
     step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
-    if channel[0] == "noise":
+    if channel[0] in ("noise", "eta"):
         ticks = scipy.signal.lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
         return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
     if tube.summed:
@@ -105,6 +111,13 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         others = zero(order - n - m - N - sum(errors.more), 1)
         kicks = [above(zero(n, 1), nu, M, others, rest) for nu, rest in put_out]
         return Drive(held=nothing, between=nothing, ticks=kicks)
+    if kind == "eta":
+        assert errors.estimates is not None
+        kick = _unit(order, order - errors.estimates.eta + k)
+        return Drive(held=nothing, between=nothing, ticks=[kick] * len(errors.ticks))
+    if kind == "drawn":
+        one = _unit(n, k)
+        return Drive(held=nothing, between=above(one, zero(m + d * N, 1), *d * [errors.R @ one], rest))
     if kind in ("disturbance", "deviation"):
         one = _unit(n, k) if kind == "disturbance" else errors.deviations[k][0]
         if kind == "deviation" and errors.plant.watched is not None:
@@ -116,7 +129,7 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         column = errors.mean.part(range(n), [at])
         nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column], rest)
         return Drive(held=_unit(order, at), between=nothing - nominal)
-    if kind == "input":
+    if kind in ("input", "cell"):
         return Drive(held=_unit(order, n + k), between=nothing)
     return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)], rest), between=nothing)
 
@@ -138,6 +151,16 @@ def across(errors: SampledErrors, H: Array) -> Array:
     rows = np.zeros((errors.predicted, len(H), errors.order))
     for i, each in enumerate(rows):
         each[:, :n], each[:, n + m + i * N :][:, :n] = H, H
+    return rows
+
+
+def shifted(errors: SampledErrors, H: Array) -> Array:
+    """Return rows that read by how much estimates move x_d in H x off z, for each D_j, (J, P, order)."""
+    D = [] if errors.estimates is None else [D.floats for _, D in errors.estimates.hull]
+    rows = np.zeros((len(D), len(H), errors.order))
+    for each, D_j in zip(rows, D, strict=True):
+        at = errors.order - sum(errors.more)
+        each[:, at : at + D_j.shape[1]] = H @ D_j
     return rows
 
 

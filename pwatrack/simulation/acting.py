@@ -32,6 +32,7 @@ from pwatrack.control.vertices import Differences
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
+from pwatrack.simulation.acting_estimates import OtherCells, crossed, loads_at_start, with_loads
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import along, desired_flow
@@ -51,20 +52,17 @@ def acting(
 ) -> Acting | None:
     """Return how large what acts gets up to a time (s) of the program, substep by substep; None where not known.
 
-    It is not for an η that is played back, where loads move x_d or oscillate, and for very many samples. Where inputs
-    are late it begins with x̂ = x = x_d as the first input comes. The gains of the controller are those of `errors`.
+    It is not for an η that is played back, and for very many samples. Where inputs are late it begins with x̂ = x = x_d
+    as the first input comes. The gains of the controller are those of `errors`.
     """
     gains, trajectory = errors.gains, controller.trajectory
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
-    runs = program(controller, Conditions(sampling=sampling))
-    moving = (rows[..., : runs.sizes["N"] - runs.sizes["n"]] for rows in (runs.generator, runs.guards, runs.x_d))
-    swings = errors.estimates is not None and any(any(F.centre.entries()) for F, _ in errors.estimates.hull)
-    played = trajectory.preview is not None or swings or any(rows.any() for rows in moving)
     end = trajectory.exosystem.end
     duration = duration if end is None else min(duration, end)
-    if played or duration / gains.sample_time * gains.substeps > _MOST:
+    if trajectory.preview is not None or duration / gains.sample_time * gains.substeps > _MOST:
         return None
-    walk = _Walk(controller, errors, runs)
+    runs, loads = program(controller, Conditions(sampling=sampling)), loads_at_start(controller, conditions)
+    walk = _Walk(controller, errors, runs, loads)
     try:
         found = walk.walked(eta, duration)
     except (CheckFailed, Undecided):
@@ -120,10 +118,22 @@ def _outside(
 
 
 class _Walk:
-    """x_d with what the program holds at ticks, and with e₀, and R (x_d + e₀) as it was at substeps, beside it."""
+    """x_d with what the program holds at ticks, and with e₀, and R (x_d + e₀) as it was at substeps, beside it.
 
-    def __init__(self, controller: ProvedController, errors: SampledErrors, runs: SampledController) -> None:
-        self._plant, self._trajectory, self._runs = controller.plant, controller.trajectory, runs
+    Where x_d depends on loads, these go along, from what they are at first, and what of x_d was crossed since a tick.
+    """
+
+    def __init__(
+        self, controller: ProvedController, errors: SampledErrors, runs: SampledController, loads: Array
+    ) -> None:
+        estimated = errors.estimates is not None
+        self._plant, self._runs, self._loads = controller.plant, runs, loads if estimated else 0.0 * loads
+        self._trajectory = with_loads(controller, loads) if estimated else controller.trajectory
+        self._S = controller.plant.loads.S.floats if controller.plant.loads is not None else np.zeros((0, 0))
+        self._others = OtherCells(controller, errors) if estimated else None
+        self._made = list[tuple[Array, Array]]()  # by other cells, of u and of η̂, block by block
+        self._known = list[Array]()  # x_d of the program, likewise
+        self._U, self._V = crossed(errors)
         self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, errors.gains.substeps
         self._followed = errors.followed.floats
         self._differs = Differences.of_corners(errors.plant.exact, errors.corners)
@@ -133,7 +143,7 @@ class _Walk:
         self._late = float(errors.paces[-1] - 1)  # by how much more of its time passes than the program counts
         self._step = errors.gains.sample_time / self._parts
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
-        self._flow, self._ticks = desired_flow(controller.plant, controller.trajectory), 0  # those before the block
+        self._flow, self._ticks = desired_flow(controller.plant, self._trajectory), 0  # those before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
         self._last, self._changes = np.zeros(self._m), np.zeros(self._m)  # of u
         self._sizes = np.zeros(len(self._followed))  # of x_d, as it is followed
@@ -146,7 +156,8 @@ class _Walk:
         squares, areas, first = np.zeros((count, p + q + self._n)), np.zeros((count, p + q)), 0
         most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
         other = np.zeros((count, len(self._differs.of)))
-        away = np.zeros((count, self._n))
+        away, drawn = np.zeros((count, self._n)), np.zeros((count, len(self._V)))
+        ends = np.full((2, count, len(H)), -np.inf)  # of H x_d: above it, and above −H x_d
         for segments, at in self._segments(eta, duration):
             found, at = spans(segments, self._rows), at + first
             late, size = p + q + signals + len(H), np.maximum(np.abs(found.low), np.abs(found.high))
@@ -154,6 +165,9 @@ class _Walk:
             np.add.at(areas, at, found.areas[:, : p + q])
             np.maximum.at(most, at, size[:, p + q : p + q + signals])
             np.maximum.at(other, at, size[:, late + self._n :][:, : len(self._differs.of)])
+            np.maximum.at(drawn, at, size[:, late + self._n + len(self._differs.of) :][:, : len(self._V)])
+            for side, each in zip(ends, (found.high, -found.low), strict=True):
+                np.maximum.at(side, at, each[:, late + self._n + len(self._differs.of) + len(self._V) :][:, : len(H)])
             for name, columns in (("x_hat", slice(-self._n - outputs, -outputs)), ("y", slice(-outputs, None))):
                 self._see(name, found.low[:, columns], found.high[:, columns])
             apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
@@ -165,20 +179,43 @@ class _Walk:
         squares[:, p + q :] *= self._late**2
         for k, each in zip(self._differs.of, other.T, strict=True):
             away[:, k] = np.maximum(away[:, k], each)
-        squares[:, p + q :] = (np.sqrt(squares[:, p + q :]) + (1 + self._late) * OVER_POWERS * away) ** 2
+        off = drawn @ self._U.T * OVER_POWERS
+        squares[:, p + q :] = (
+            np.sqrt(squares[:, p + q :]) + (1 + self._late) * OVER_POWERS * away + self._late * off
+        ) ** 2
         most[:, :m][most[:, :m] <= _ROUNDING * self._largest[:m]] = 0.0
         names: list[Channel] = [*(("nominal", k) for k in range(p)), *(("moved", k) for k in range(q))]
         names += [("disturbance", k) for k in range(self._n)]
         forms: list[Form] = [*(("input", k) for k in range(m)), *((self._kind, k) for k in range(len(self._tracked)))]
+        more = [off**2]
+        names += [("drawn", k) for k in range(self._n)]
+        if self._made:
+            u, eta = (np.repeat(np.vstack(each), self._parts, axis=0)[:count] for each in zip(*self._made, strict=True))
+            most[:, :m] += u
+            more += [u**2 * OVER_POWERS, eta**2 * OVER_POWERS]
+            names += [*(("cell", k) for k in range(m)), *(("eta", k) for k in range(eta.shape[1]))]
         return Acting(
-            squares=dict(zip(names, squares.T, strict=True)),
+            squares=dict(zip(names, np.hstack([squares, *more]).T, strict=True)),
             means=dict(zip(names[p : p + q], areas.T[p:], strict=True)),
             beside=dict(zip(forms, most.T, strict=True)),
             planes=H,
             near=near,
+            apart=self._apart(ends, near),
             changes=self._changes * OVER_POWERS,
             along=self._along,
         )
+
+    def _apart(self, ends: Array, near: Array) -> Array:
+        """Return how near x_d comes to planes in each sample, with x_d of the program at its tick, (K, P)."""
+        if not self._made:
+            return near
+        count, planes, r = len(near), self._plant.model.partition, self._parts
+        whole = np.full((2, -(-count // r) * r, near.shape[1]), -np.inf)
+        whole[:, :count] = ends
+        held = np.vstack(self._known)[: whole.shape[1] // r] @ planes.H.T + planes.h
+        whole = whole.reshape(2, -1, r, near.shape[1]).max(axis=2)
+        high, low = np.maximum(whole[0], held), np.minimum(-whole[1], held)
+        return np.repeat(np.maximum(np.maximum(low, -high), 0.0), r, axis=0)[:count]
 
     def _see(self, name: str, low: Array, high: Array) -> None:
         """Take lower and upper ends of some numbers, (K, k) each, into account."""
@@ -192,23 +229,26 @@ class _Walk:
         """Return rows on (e₀, what is held, η̂, w, 1).
 
         They are what is followed of e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, (x_d + e₀)' less A₀ of
-        what is followed, f_c(x_d) − f(x_d) + (B_c − B) u of the corners c, x_d + e₀, and what is measured there.
+        what is followed, f_c(x_d) − f(x_d) + (B_c − B) u of the corners c, what of x_d was crossed since the tick,
+        planes of x_d itself, x_d + e₀, and what is measured there.
         """
-        n, m, q, planes, D = self._n, self._m, self._q, self._plant.model.partition, self._differs
+        n, m, q, planes, D = self._n, self._m, self._q + len(self._V), self._plant.model.partition, self._differs
         u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
-        p, R, H, C, B = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B
+        p, R, H, C, B, V = x_d.shape[1], self._R, planes.H, self._tracked, self._plant.B, self._V
         of_planes, nominal = H @ x_d, np.hstack([np.eye(n), np.zeros((n, m + q)), x_d])
         of_planes[:, -1] += planes.h
         zero = np.zeros
         return np.vstack(
             [
                 np.hstack([self._followed, zero((len(self._followed), m + q + p))]),
-                np.hstack([R, zero((q, m)), -np.eye(q), R @ x_d]),
+                np.hstack([R, zero((len(R), m)), -np.eye(len(R), q), R @ x_d]),
                 np.hstack([zero((m, n)), np.eye(m), zero((m, q)), -u_ff]),
                 np.hstack([C, zero((len(C), m + q + p))]),
                 np.hstack([H, zero((len(H), m + q)), of_planes]),
                 np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
                 np.hstack([zero((len(D.of), n)), D.B, zero((len(D.of), q)), D.rows(mode[0], x_d)]),
+                np.hstack([zero((len(V), n + m)), -np.eye(len(V), q, k=q - len(V)), V @ x_d]),
+                np.hstack([zero((len(H), n + m + q)), of_planes]),
                 nominal,
                 self._plant.C @ nominal,
             ]
@@ -216,7 +256,7 @@ class _Walk:
 
     def _segments(self, eta: Array, duration: float) -> Iterator[tuple[Segments, IntArray]]:
         """Yield the walk block by block, with the substep of the block that each segment is in."""
-        system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta)
+        system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta, self._loads, self._S)
         flow, z0 = self._flow, np.concatenate([eta, system.w0, [1.0]])
         resets = pieces(system, slice(p, p + len(system.w0)))
         for trace in trace_blocks(
@@ -225,16 +265,21 @@ class _Walk:
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
             self._sizes = np.maximum(self._sizes, np.abs(x_d @ self._followed.T).max(axis=0))
             known = [(now, *own) for now, own in zip(x_d[:: self._parts], ticks, strict=False)]
-            for name, values in zip(("x_d", "u_ff", "eta_hat", "w"), [*zip(*known, strict=True)][1:], strict=True):
-                self._see(name, np.array(values), np.array(values))
+            own = [np.array(values) for values in [*zip(*known, strict=True)][1:]]
+            for name, values in zip(("x_d", "u_ff", "eta_hat", "w"), own, strict=False):
+                self._see(name, values, values)
+            if self._others is not None:
+                y = np.hstack([own[4], own[2], own[3], np.ones((len(own[0]), 1))])
+                self._made.append(self._others.at(y))
+                self._known.append(own[0])
             u = np.array([u_ff + self._runs.K @ (now - wanted) for now, wanted, u_ff, *_ in known])
             u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0
-            yield self._beside(flow, trace, x_d @ self._R.T, u)
+            yield self._beside(flow, trace, x_d @ self._R.T, u, own[0] @ self._V.T)
             self._ticks += len(u)
 
-    def _beside(self, flow: Flow, trace: Trace, moving: Array, u: Array) -> tuple[Segments, IntArray]:
+    def _beside(self, flow: Flow, trace: Trace, moving: Array, u: Array, drawn: Array) -> tuple[Segments, IntArray]:
         """Return segments with e₀ and what is held in each of them before ζ; each block begins at a tick."""
-        segments, n, m, q = Segments.of(flow, trace), self._n, self._m, self._q
+        segments, n, m, q = Segments.of(flow, trace), self._n, self._m, self._q + len(self._V)
         at = np.searchsorted(trace.t, segments.t + _ON_TICK * self._step, side="right") - 1
         F = np.pad(segments.F, ((0, 0), (n + m + q, 0), (n + m + q, 0)))
         F[:, :n, :n], F[:, :n, n : n + m] = self._A0, self._plant.B
@@ -248,13 +293,17 @@ class _Walk:
                 if substep // self._parts != last // self._parts or last < 0:
                     e = e * (self._ticks + substep // self._parts > self._runs.sampling.delay)
                     held[:m] = u[substep // self._parts] + self._runs.K @ e
+                    held[m + self._q :] = drawn[substep // self._parts]
                     self._changes = np.maximum(self._changes, np.abs(held[:m] - self._last))
                     self._last = held[:m].copy()
-                held[m:], last = moving[substep] + self._R @ e, substep
+                held[m : m + self._q], last = moving[substep] + self._R @ e, substep
             before[i, :n], before[i, n:] = e, held
             e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
         self._see("u", before[:, n : n + m], before[:, n : n + m])
-        self._e, self._largest = e, np.maximum(self._largest, np.abs(before[:, n:]).max(axis=0))
+        self._e, self._largest = (
+            e,
+            np.maximum(self._largest, np.abs(before[:, n:][:, : len(self._largest)]).max(axis=0)),
+        )
         return replace(segments, F=F, zeta=np.hstack([before, segments.zeta])), at
 
     def _turns(self, F: Array, segments: Segments) -> Array:
@@ -270,28 +319,28 @@ class _Walk:
         return turns
 
 
-def held(runs: SampledController, eta: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Yield x_d, u_ff, η̂ and w as the program has them for what it holds from each tick on, from η̂(0) at the first.
+def held(
+    runs: SampledController, eta: Array, loads: Array, S: Array
+) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
+    """Yield x_d, u_ff, η̂, w and s as the program has them for what it holds from each tick on, from η̂(0) at the first.
 
-    Loads that it estimates are to move no x_d. Before the first input that it puts out it has 0.
+    It is with the true loads s, s' = S s, in place of ŝ. Before the first input that it puts out it has 0.
     """
-    follows = runs.follows
+    follows, h, ahead = runs.follows, runs.sampling.sample_time, runs.sampling.ahead
     assert follows is not None
-    loads = runs.sizes["N"] - runs.sizes["n"]
-    rows = (runs.guards, runs.x_d, runs.u_ff, runs.generator)
-    guards, x_d, u_ff, generator = (X[..., loads:] for X in rows)
     starts, w, tick = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy(), 0
-    begins = sorted(starts)
+    begins, turn, before = sorted(starts), expm(S * h), expm(S * (-ahead * h))  # ŝ is that of the tick, before u acts
     for early in follows.early:
-        s = np.concatenate([eta, early, [1.0]])
-        i = cell(runs.sides, guards @ s)
-        yield x_d[i] @ s, np.zeros(u_ff.shape[1]), eta, early
-        eta = generator[i] @ s
+        s = np.concatenate([before @ loads, eta, early, [1.0]])
+        i = cell(runs.sides, runs.guards @ s)
+        yield runs.x_d[i] @ s, np.zeros(runs.u_ff.shape[1]), eta, early, loads
+        eta, loads = runs.generator[i] @ s, turn @ loads
     while True:
         while begins and begins[0][0] <= tick:
             begin = begins.pop(0)
             w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
-        s = np.concatenate([eta, w, [1.0]])
-        i = cell(runs.sides, guards @ s)
-        yield x_d[i] @ s, u_ff[i] @ s, eta, w
-        eta, w, tick = generator[i] @ s, follows.turn[0] @ w if len(w) else w, tick + 1
+        s = np.concatenate([before @ loads, eta, w, [1.0]])
+        i = cell(runs.sides, runs.guards @ s)
+        yield runs.x_d[i] @ s, runs.u_ff[i] @ s, eta, w, loads
+        eta, w, tick = runs.generator[i] @ s, follows.turn[0] @ w if len(w) else w, tick + 1
+        loads = turn @ loads

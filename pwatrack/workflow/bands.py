@@ -13,6 +13,7 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController, Seen
 from pwatrack.model.conditions import Conditions
 from pwatrack.real import Box, inside
+from pwatrack.simulation.acting_estimates import loads_at_start
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.desired import along
 from pwatrack.simulation.enclosure import Enclosing, Segments, enclosed
@@ -90,15 +91,7 @@ def limited(loop: ClosedLoop, response: Response) -> bool:
 
 def start_of_errors(loop: ClosedLoop, first: Response) -> Array:
     """Return (x − x_d, x̂ − x, ŝ − s) at the first sample; s = 0 where the disturbance is not at all times the loads."""
-    loads, disturbance = loop.controller.plant.loads, loop.conditions.disturbance
-    s_hat = first.trace.z[0, loop.at.s_hat]
-    s = np.zeros(len(s_hat))
-    if loads is not None and disturbance is not None and loads.are(disturbance):
-        rows = loads.truth(disturbance.Q, disturbance.rates)
-        for load, row, group in zip(loads.each, rows, loads.groups, strict=True):
-            s[group[0]] = row @ disturbance.w0
-            if load.order == 2:
-                s[group[1]] = row @ disturbance.S @ disturbance.w0 / float(load.frequency)
+    s_hat, s = first.trace.z[0, loop.at.s_hat], loads_at_start(loop.controller, loop.conditions)
     return np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0], s_hat - s])
 
 

@@ -1,9 +1,12 @@
 """Matrices whose entries lie within radii: whatever is in a ball."""
 
 from fractions import Fraction
+from math import ceil
 from typing import Any, NamedTuple
 
 from .matrices import AuditFault, Matrix, added, definite, identity, inverted, product, spend, times, total, transposed
+
+_DIGITS = 40  # binary ones of what is added for radii
 
 
 def sizes(X: Matrix) -> Matrix:
@@ -191,7 +194,10 @@ def beyond(c: Ball, Q: Matrix, size: Fraction) -> bool:
 def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
     """Add a diagonal above every symmetric E with |E| <= half + half^T.
 
-    For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j.
+    For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j. It is rounded up to a short number: the others of
+    the matrix have denominators in common, and it would have another.
     """
     for j, row in enumerate(added(half, transposed(half))):
-        left[j][j] += total([v * powers[j] / power for v, power in zip(row, powers, strict=True)])
+        more = total([v * powers[j] / power for v, power in zip(row, powers, strict=True)])
+        unit = Fraction(2) ** (more.numerator.bit_length() - more.denominator.bit_length() - _DIGITS)
+        left[j][j] += ceil(more / unit) * unit

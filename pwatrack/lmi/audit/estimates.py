@@ -12,7 +12,7 @@ from .reading import matrix
 
 _TURNS = 64  # h times the size of F: a sample in which it turns further is not looked at
 _TAIL = Fraction(1, 2**60)  # share of h below which the rest of a sum may be
-_DIGITS = 60  # binary ones that are kept of each entry of what a tick makes of epsilon
+DIGITS = 60  # binary ones that are kept of each entry of what a tick makes
 _MORE = 100  # of each entry of an integral and its terms, which may cancel
 
 
@@ -94,9 +94,8 @@ class Estimates:
             P, Q = integrals(F_a, h)
             held = u_a @ Q
             found += [stacked(held @ F, (eye + P @ F).rows(self.k, end), D) for F, D in self.hull]
-        m, kept = len(self.plant.B[0][0]), [ball for _, ball in unlike(found)]
-        made = [(X.rows(m + self.p, m + self.p + self.n), short(X.rows(0, m + self.p), _DIGITS)) for X in kept]
-        return [(D, X.rows(0, m), X.rows(m, m + self.p)) for D, X in made]
+        m, p = len(self.plant.B[0][0]), self.p
+        return [(X.rows(m + p, m + p + self.n), X.rows(0, m), X.rows(m, m + p)) for _, X in unlike(found)]
 
 
 def means(pairs: list[tuple[Ball, Ball]]) -> list[tuple[Ball, Ball]]:

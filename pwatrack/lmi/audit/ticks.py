@@ -10,7 +10,7 @@ from typing import Any
 from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
 from .boxes import AuditedBox, boxes, differences, factors, spread
-from .estimates import Estimates
+from .estimates import DIGITS, Estimates, short
 from .matrices import AuditFault, Matrix, identity
 from .plant import AuditedPlant
 from .reading import matrix, number
@@ -175,7 +175,8 @@ class AuditedErrors:
         delta = self.row(self.p, {len(self.widths) - 1: Ball(identity(self.p, 1))})
         e, first = self.row(self.n, {0: Ball(identity(self.n, 1))}), self.row(self.N, {2: corrected})
         older, rho = [self.row(self.N, {1 + i: eye}) for i in range(1, d)], zero(self.held - self.kept, self.order)
-        return [stacked(e, nu, first, *older, rho, rest) for nu, rest in self.put_out(e, seen, delta)]
+        found = [stacked(e, nu, first, *older, rho, rest) for nu, rest in self.put_out(e, seen, delta)]
+        return found if self.estimates is None else [short(J, DIGITS) for J in found]
 
     def put_out(self, e: Ball, seen: Ball, delta: Ball) -> list[tuple[Ball, Ball]]:
         """Return nu, and epsilon and delta after it, made of e, of an observer's error and of delta before it."""

@@ -51,7 +51,8 @@ class Tubes:
         """Return what is wrong with one tube."""
         errors, a, b = self.errors, number(entry["a"]), number(entry["b"])
         runs = runs_of(errors, entry["Q"], entry["T"], "the tube of the sampled loop is not that of its knots")
-        forms, ticks, summed = [knot[:2] for knot in chain(*runs)], entry["channel"][0] == "noise", entry["summed"] == 1
+        forms, summed = [knot[:2] for knot in chain(*runs)], entry["summed"] == 1
+        ticks = entry["channel"][0] in ("noise", "eta")
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
         if entry["summed"] not in (0, 1) or (summed and ticks):
@@ -108,6 +109,9 @@ class Tubes:
             "input": m,
             "moved": q,
             "nominal": len(self.errors.followed),
+            "drawn": n,
+            "cell": m,
+            "eta": self.errors.p,
         }
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
@@ -119,6 +123,9 @@ class Tubes:
             M, others = errors.M.column(k), (d - 1) * [Delta] + d * [rho]
             put_out = errors.put_out(e, Delta if errors.late else M, zero(errors.p, 1))
             return nothing, nothing, [stacked(e, nu, M, *others, more) for nu, more in put_out]
+        if kind == "eta":
+            kick = unit(errors.order, errors.order - errors.p + k)
+            return nothing, nothing, [kick] * len(errors.ticks)
         if kind == "nominal":
             at = errors.followed[k]
             mean = errors.mean.column(at)
@@ -132,14 +139,16 @@ class Tubes:
                 rho = errors.R @ e
             else:
                 Delta = stacked(-e, Delta.rows(n, N))
+        elif kind == "drawn":
+            e, rho = unit(n, k), errors.R @ unit(n, k)
         elif kind == "disturbance":
             e, Delta = unit(n, k), -unit(N, k)
-        elif kind == "input":
+        elif kind in ("input", "cell"):
             nu = unit(m, k)
         else:
             rho = unit(q, k)
         one = stacked(e, nu, *d * [Delta], *d * [rho], rest)
-        return (one, nothing, none) if kind in ("input", "moved") else (nothing, one, none)
+        return (one, nothing, none) if kind in ("input", "cell", "moved") else (nothing, one, none)
 
     def row(self, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off z."""
