@@ -278,6 +278,7 @@ def test_so_it_is_where_x_d_is_worked_out_beforehand(loads: str, tmp_path: Path)
     assert at_ticks < 1e-9
     assert between < 5e-3
     assert not audit(json.dumps(design_certificate(spec, found)))[1]
+    assert list(SampledBounds.prove(found, asking(spec, found, found.claim(SampledLoop).gains))) == []
 
 
 def test_a_sample_may_begin_in_a_cell_within_the_hull(tmp_path: Path) -> None:
@@ -494,12 +495,6 @@ def test_a_run_with_constants_between_inputs_stays_within_its_bound(tmp_path: Pa
     assert run.outcome.kind != "above its bound"
     assert bounds.ends_below(controller)["state", 0] > 0
     assert not audit(json.dumps(design_certificate(spec, controller)))[1]
-
-
-def test_where_loads_move_x_d_or_swing_no_bound_is_said_of_a_run(loaded: tuple[str, Spec, ProvedController]) -> None:
-    _, spec, controller = loaded
-    found, _ = proved(spec, controller, gains_of(controller, 0.02))
-    assert list(SampledBounds.prove(found, asking(spec, found, found.claim(SampledLoop).gains))) == []
 
 
 def test_where_nothing_is_proved_it_is_said_why(tmp_path: Path) -> None:

@@ -112,15 +112,11 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         kicks = [above(zero(n, 1), nu, M, others, rest) for nu, rest in put_out]
         return Drive(held=nothing, between=nothing, ticks=kicks)
     if kind == "eta":
-        assert errors.estimates is not None
-        kick = _unit(order, order - errors.estimates.eta + k)
+        kick = _unit(order, order - errors.more[-1] + k)
         return Drive(held=nothing, between=nothing, ticks=[kick] * len(errors.ticks))
-    if kind == "drawn":
-        one = _unit(n, k)
-        return Drive(held=nothing, between=above(one, zero(m + d * N, 1), *d * [errors.R @ one], rest))
-    if kind in ("disturbance", "deviation"):
-        one = _unit(n, k) if kind == "disturbance" else errors.deviations[k][0]
-        if kind == "deviation" and errors.plant.watched is not None:
+    if kind in ("disturbance", "deviation", "drawn"):
+        one = errors.deviations[k][0] if kind == "deviation" else _unit(n, k)
+        if kind == "drawn" or (kind == "deviation" and errors.plant.watched is not None):
             return Drive(held=nothing, between=above(one, zero(m + d * N, 1), *d * [errors.R @ one], rest))
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))

@@ -131,16 +131,14 @@ class Tubes:
             mean = errors.mean.column(at)
             nominal = stacked(mean, nu, *d * [Delta], *d * [errors.R @ mean], rest)
             return unit(errors.order, at), -nominal, none
-        if kind == "deviation":
-            e = self.merged[k]
-            if errors.watched and len(errors.paces) > 1:  # it would be in Delta, by 1 - pace
+        if kind in ("deviation", "drawn"):
+            e = unit(n, k) if kind == "drawn" else self.merged[k]
+            if kind == "deviation" and errors.watched and len(errors.paces) > 1:  # it would be in Delta, by 1 - pace
                 raise AuditFault("what is merged acts otherwise where ticks come early and late")
-            if errors.watched:
+            if kind == "drawn" or errors.watched:
                 rho = errors.R @ e
             else:
                 Delta = stacked(-e, Delta.rows(n, N))
-        elif kind == "drawn":
-            e, rho = unit(n, k), errors.R @ unit(n, k)
         elif kind == "disturbance":
             e, Delta = unit(n, k), -unit(N, k)
         elif kind in ("input", "cell"):
