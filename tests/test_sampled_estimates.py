@@ -38,7 +38,8 @@ MOVING = "reference: {output: 0.3*sin(t)}"
 def moving(name: str, more: str = "") -> str:
     """Return a spec whose reference and loads move x_d through all cells, and whose loop is sampled."""
     text = written(name).replace("reference: {output: {constant: 0.05}}", MOVING)
-    machine = f"controller: {{sample_time: {H}}}, disturbance: {{{ACTS[name]}}}, initial: {{observer: measured, generator: [0.1]}}{more}"
+    machine = f"controller: {{sample_time: {H}}}, disturbance: {{{ACTS[name]}}}{more}"
+    machine += ", initial: {observer: measured, generator: [0.1]}"
     assert MOVING in text
     return text.replace("duration: 1, sample_time: 0.05", f"duration: 12, sample_time: {H}, {machine}")
 
