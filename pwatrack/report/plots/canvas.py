@@ -24,6 +24,7 @@ from pwatrack.workflow.outcome import SimulatedLoop
 # Dark solid and light dashed: told apart without colour too.
 ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
 DESIRED: dict[str, Any] = {"color": "#e08e2b", "linewidth": 1.1, "linestyle": (0, (4, 2))}
+BEHIND: dict[str, Any] = {"color": "#f0bc80", "linewidth": 2.6, "zorder": 1.5}  # what another line runs along
 ESTIMATE: dict[str, Any] = {"color": "0.25", "linewidth": 1.2, "linestyle": (0, (1, 1.2))}
 BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6, 2))}
 BAND: dict[str, Any] = {"color": "0.88", "linewidth": 0, "zorder": 0}

@@ -11,6 +11,7 @@ from pwatrack.arrays import Array, number_text
 from pwatrack.report.figures import norm_unit
 from pwatrack.report.plots.canvas import (
     ACTUAL,
+    BEHIND,
     BINDS,
     BOUND,
     DESIRED,
@@ -121,7 +122,7 @@ def control_input(result: SimulatedLoop) -> Figure:
                 band(axes, response.t, middle - shown, middle + shown, "proved")
         return drawn
 
-    curves = [(response.u, said[0], ACTUAL), (response.u_ff, said[1], DESIRED)]
+    curves = [(response.u, said[0], ACTUAL), (response.u_ff, said[1], BEHIND)]
     return _over_time(result, "Control input", names, curves, lines, ends=True)
 
 
