@@ -57,7 +57,10 @@ def in_units(path: Path, units: Units) -> str:
     spec["system"] |= {
         "B": matrix(system["B"], flow, u),
         "C": matrix(system["C"], [f"1/({g})" for g in y], x),
-        "sizes": {name: times(size, f"1/({units.of[name]})") for name, size in system.get("sizes", {}).items()},
+        "sizes": {  # a load keeps its unit
+            name: times(size, f"1/({units.of[name]})") if name in units.of else size
+            for name, size in system.get("sizes", {}).items()
+        },
     }
     for part in (system, *system.get("cells", [])):
         part |= {"A": matrix(part["A"], flow, x)} if "A" in part else {}
