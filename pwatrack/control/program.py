@@ -165,7 +165,7 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
         generator=np.array([steps(F_j)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in each]) @ late,
         guards=on_estimates(trajectory.guards, added.guards) @ late,
         sides=trajectory.signs,
-        x_d=on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], s_hat))) @ late,
+        x_d=on_estimates(trajectory.x_d, added.X.floats) @ late,
         u_ff=(u_ff if gains is None else u_ff @ means(each, sampling.sample_time)) @ late,
         K=controller.design.K if gains is None else gains.K,
         limits=no_limits if conditions.limits is None else conditions.limits,
@@ -249,8 +249,8 @@ def _ahead(controller: ProvedController, sampling: Sampling, size: int) -> Array
 
 
 def on_estimates(rows: Array, added: Array) -> Array:
-    """Return rows on (ŝ, η̂, w, 1) of rows on (η̂, w, 1) and what estimates of loads add."""
-    return np.concatenate([added, rows], axis=-1)
+    """Return rows on (ŝ, η̂, w, 1) of rows on (η̂, w, 1) and what estimates of loads add, in each cell or in all."""
+    return np.concatenate([np.broadcast_to(added, (*rows.shape[:-1], added.shape[-1])), rows], axis=-1)
 
 
 def _follows(exosystem: Exosystem, sampling: Sampling) -> Follows:

@@ -32,7 +32,7 @@ from pwatrack.control.vertices import Differences
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
-from pwatrack.simulation.acting_estimates import OtherCells, crossed, loads_at_start, with_loads
+from pwatrack.simulation.acting_estimates import ROUNDING, OtherCells, crossed, loads_at_start, with_loads
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import along, desired_flow
@@ -43,7 +43,6 @@ from pwatrack.simulation.trace import Trace
 
 _MOST = 500_000  # substeps of a run that is walked: half a minute
 BLOCK = 20_000  # of them at a time
-_ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
 _ON_TICK = 1e-9  # of a substep: a break that is nearer before one is on it but for rounding
 
 
@@ -134,6 +133,7 @@ class _Walk:
         self._made = list[tuple[Array, Array]]()  # by other cells, of u and of η̂, block by block
         self._known = list[Array]()  # x_d of the program, likewise
         self._U, self._V = crossed(errors)
+        self._planes = len(controller.plant.model.partition.H) if estimated else 0  # of which it is seen where x_d is
         self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, errors.gains.substeps
         self._followed = errors.followed.floats
         self._differs = Differences.of_corners(errors.plant.exact, errors.corners)
@@ -157,7 +157,7 @@ class _Walk:
         most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
         other = np.zeros((count, len(self._differs.of)))
         away, drawn = np.zeros((count, self._n)), np.zeros((count, len(self._V)))
-        ends = np.full((2, count, len(H)), -np.inf)  # of H x_d: above it, and above −H x_d
+        ends = np.full((2, count, self._planes), -np.inf)  # of H x_d: above it, and above −H x_d
         for segments, at in self._segments(eta, duration):
             found, at = spans(segments, self._rows), at + first
             late, size = p + q + signals + len(H), np.maximum(np.abs(found.low), np.abs(found.high))
@@ -167,14 +167,16 @@ class _Walk:
             np.maximum.at(other, at, size[:, late + self._n :][:, : len(self._differs.of)])
             np.maximum.at(drawn, at, size[:, late + self._n + len(self._differs.of) :][:, : len(self._V)])
             for side, each in zip(ends, (found.high, -found.low), strict=True):
-                np.maximum.at(side, at, each[:, late + self._n + len(self._differs.of) + len(self._V) :][:, : len(H)])
+                np.maximum.at(
+                    side, at, each[:, late + self._n + len(self._differs.of) + len(self._V) :][:, : self._planes]
+                )
             for name, columns in (("x_hat", slice(-self._n - outputs, -outputs)), ("y", slice(-outputs, None))):
                 self._see(name, found.low[:, columns], found.high[:, columns])
             apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
             np.minimum.at(near, at, apart[:, p + q + signals :][:, : len(H)])
             first = int(at[-1]) + 1
         squares, areas = squares * OVER_POWERS / self._step, areas * OVER_POWERS / self._step
-        least = _ROUNDING * np.concatenate([self._sizes, self._largest[m:], np.zeros(self._n)])
+        least = ROUNDING * np.concatenate([self._sizes, self._largest[m:], np.zeros(self._n)])
         squares[:, np.sqrt(squares.max(axis=0)) <= least] = 0.0
         squares[:, p + q :] *= self._late**2
         for k, each in zip(self._differs.of, other.T, strict=True):
@@ -183,7 +185,7 @@ class _Walk:
         squares[:, p + q :] = (
             np.sqrt(squares[:, p + q :]) + (1 + self._late) * OVER_POWERS * away + self._late * off
         ) ** 2
-        most[:, :m][most[:, :m] <= _ROUNDING * self._largest[:m]] = 0.0
+        most[:, :m][most[:, :m] <= ROUNDING * self._largest[:m]] = 0.0
         names: list[Channel] = [*(("nominal", k) for k in range(p)), *(("moved", k) for k in range(q))]
         names += [("disturbance", k) for k in range(self._n)]
         forms: list[Form] = [*(("input", k) for k in range(m)), *((self._kind, k) for k in range(len(self._tracked)))]
@@ -248,7 +250,7 @@ class _Walk:
                 np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
                 np.hstack([zero((len(D.of), n)), D.B, zero((len(D.of), q)), D.rows(mode[0], x_d)]),
                 np.hstack([zero((len(V), n + m)), -np.eye(len(V), q, k=q - len(V)), V @ x_d]),
-                np.hstack([zero((len(H), n + m + q)), of_planes]),
+                np.hstack([zero((self._planes, n + m + q)), of_planes[: self._planes]]),
                 nominal,
                 self._plant.C @ nominal,
             ]

@@ -28,7 +28,7 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.rational import pivots, rational
 from pwatrack.simulation.controller_arrays import cell
 
-_ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
+ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
 _ON_FACET = 1e-12  # of its terms: a form of y that is nearer to 0 may have either sign
 
 
@@ -78,7 +78,9 @@ def crossed(errors: SampledErrors) -> tuple[Array, Array]:
     Of a box these are its edges that some D_j ε moves along; else all of R, if any does.
     """
     n = errors.plant.B.shape[0]
-    U, V, D = list[Array](), list[Array](), [] if errors.estimates is None else [D for _, D in errors.estimates.hull]
+    if errors.estimates is None:
+        return np.zeros((n, 0)), np.zeros((0, n))
+    U, V, D = list[Array](), list[Array](), [D for _, D in errors.estimates.hull]
     changes = differences(errors.cells)
     match changes:
         case [Box(edges=edges)] if edges:
@@ -110,7 +112,7 @@ class OtherCells:
         loads, n, h = errors.estimates.loads, len(controller.plant.B), errors.gains.sample_time
         self._flows = flows(controller, trajectory)
         self._guards, self._sides = on_estimates(trajectory.guards, added.guards), trajectory.signs
-        self._x_d = on_estimates(trajectory.x_d, np.broadcast_to(added.X.floats, (len(self._flows), n, loads)))
+        self._x_d = on_estimates(trajectory.x_d, added.X.floats)
         self._u_ff = on_estimates(trajectory.u_ff, added.u_ff)
         p = trajectory.rate.shape[1]
         self._fixed = ~self._guards[:, : loads + p * bool(errors.estimates.eta)].any(axis=1)
@@ -130,7 +132,7 @@ class OtherCells:
             at = np.flatnonzero(here == b)
             rates = y[at] @ self._flows[b].T
             moving, sizes = rates @ self._x_d[b].T, np.abs(rates) @ np.abs(np.vstack([self._held[b], self._eta[b]])).T
-            least, m = _ROUNDING * sizes.max(axis=0, initial=0.0), u.shape[1]
+            least, m = ROUNDING * sizes.max(axis=0, initial=0.0), u.shape[1]
             for a in range(len(self._flows)):
                 apart = self._fixed & (self._sides[a] != 0)
                 reached = ~((sides[at] * self._sides[a] < 0) & ~near[at] & apart).any(axis=1)
@@ -140,7 +142,7 @@ class OtherCells:
                 if not np.array_equal(self._T[a], self._T[b]):
                     J = self._push @ (self._back[a] @ self._T[b] - np.eye(len(self._T[b])))
                     jump, terms = moving @ J.T, np.abs(moving) @ np.abs(J).T
-                    more = more + np.where(np.abs(jump) <= _ROUNDING * terms, 0.0, jump)
+                    more = more + np.where(np.abs(jump) <= ROUNDING * terms, 0.0, jump)
                 each = np.where(reached[:, None], np.abs(np.hstack([more, moved])), 0.0)
                 each[:, each.max(axis=0) <= least] = 0.0
                 u[at], eta[at] = np.maximum(u[at], each[:, :m]), np.maximum(eta[at], each[:, m:])
