@@ -69,7 +69,7 @@ def in_units(path: Path, units: Units) -> str:
     for plane in system.get("hyperplanes", []):
         plane["H"] = [times(v, d) for v, d in zip(plane["H"], x, strict=True)]
     for element in system.get("nonlinearities", []):
-        element["of"] = form(element["of"], units)
+        element |= {key: form(element[key], units) for key in ("of", "rate") if key in element}
         element["into"] = {name: times(v, f"({units.time})/({units.of[name]})") for name, v in element["into"].items()}
     tracked = system.get("track", system["outputs"])
     if isinstance(tracked, dict):
