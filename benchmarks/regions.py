@@ -39,6 +39,8 @@ from tests.test_limits_active import growth, random_loop
 
 console = Console(highlight=False, width=200)
 _RAYS = 90  # on which the edge of a region is looked for
+_FINE = 10  # points of that edge from one to the next
+_THIN = 100.0  # ratio of the axes of an ellipse from which on it may be between these points
 _FAR = 100.0  # in coordinates in which P is I: further no region is looked at
 _ORDERS = 10  # of the cells, by which each start is tried
 
@@ -95,14 +97,21 @@ def simulated(A: list[Array], B: Array, K: Array, P: Array, forms: list[Array], 
 
 
 def largest_ellipse(reach: Array) -> float:
-    """Return the largest area of an ellipse inside a symmetric region, from its reach on rays."""
-    angles = np.arange(_RAYS) * np.pi / _RAYS
-    rays = np.column_stack([np.cos(angles), np.sin(angles)])
+    """Return the largest area of an ellipse inside a symmetric region, from its reach on rays; thin ones are none.
+
+    Between rays the region reaches as far as the straight line from one point to the next.
+    """
+    coarse = np.arange(_RAYS + 1) * np.pi / _RAYS
+    x, y = np.append(reach, reach[0]) * np.array([np.cos(coarse), np.sin(coarse)])
+    x[-1], y[-1] = -x[0], -y[0]
+    share = np.tile(np.arange(_FINE) / _FINE, _RAYS)
+    rays = np.column_stack([(1 - share) * np.repeat(v[:-1], _FINE) + share * np.repeat(v[1:], _FINE) for v in (x, y)])
 
     def area(entries: Array) -> float:
         C = np.array([[np.exp(entries[0]), 0], [entries[1], np.exp(entries[2])]])
-        reached = 1 / np.linalg.norm(rays @ C, axis=1)
-        return float(np.pi / (np.exp(entries[0] + entries[2])) * (reach / reached).min() ** 2)
+        if not np.linalg.cond(C) < _THIN:
+            return 1e-9
+        return float(np.pi / (np.exp(entries[0] + entries[2])) * (np.linalg.norm(rays @ C, axis=1)).min() ** 2)
 
     best = 0.0
     for first in (0.0, 1.0, -1.0):

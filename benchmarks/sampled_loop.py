@@ -89,8 +89,8 @@ def _all_of_size_one(controller: ProvedController, _: object) -> Acting:
     found: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
     found |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
     H = plant.partition.H
-    near = np.zeros((1, len(H)))
-    return Acting(squares=found, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1))
+    near, loads = np.zeros((1, len(H))), np.zeros(0 if plant.loads is None else len(plant.loads.S.floats))
+    return Acting(squares=found, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1), loads=loads)
 
 
 def main(paths: list[Path]) -> None:

@@ -131,7 +131,7 @@ def form_at(proof: ClockedProof, parts: int, part: int, share: float) -> Array:
 def worst_found(claim: TubeBounds, channel: Channel, c: Array, seed: int, *, summed: bool = False) -> float:
     """Return |c z| for a switching at random with what acts at its worst: known from what each stretch adds to c z.
 
-    What is summed acts in one stretch, in which its integral is 1.
+    What is summed acts in one stretch, in which its integral is 1, or at one tick.
     """
     errors, random = claim.errors, np.random.default_rng(seed)
     system, drive = errors.clocked, driven(errors, channel)
@@ -157,6 +157,7 @@ def worst_found(claim: TubeBounds, channel: Channel, c: Array, seed: int, *, sum
             last = last @ turn
             if k % fine == 0 and k:
                 last = last @ R
-        total += 0.0 if kick is None else abs(float(last @ kick[:, 0]))
+        size = 0.0 if kick is None else abs(float(last @ kick[:, 0]))
+        total, most = total + size, max(most, size)
         last = last @ J
     return most if summed else total

@@ -32,6 +32,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation import acting
 from pwatrack.simulation.desired import desired_flow
+from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.propagate import simulate_flow
 from tests.sampled import asking, worst_found
 from tests.test_cli import call
@@ -151,6 +152,7 @@ def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance
         near=np.zeros((K, 1)),
         apart=np.zeros((K, 1)),
         changes=np.zeros(1),
+        loads=np.zeros(0),
     )
     one = Tube(
         Q=(),
@@ -182,7 +184,7 @@ def fine_walk(spec: Spec, controller: ProvedController, start: list[float], fine
     claim, trajectory, plant = the_bounds(controller), controller.trajectory, controller.plant
     gains = claim.errors.gains
     runs = program(controller, Conditions(sampling=Sampling(sample_time=gains.sample_time)))
-    holds = acting.held(runs, np.array(start), np.zeros(0), np.zeros((0, 0)))
+    holds = acting.held(runs, np.array(start), LoadsAlong.of(controller, spec.scenario.conditions, gains))
     r, step = gains.substeps, gains.sample_time / (gains.substeps * fine)
     z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
     trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=spec.scenario.duration, sample_time=step)
@@ -449,7 +451,6 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "another a": lambda t: t[0].update(a="3"),
     "summed where it is not": lambda t: t[0].update(summed=1),
     "what is summed as if it were not": lambda t: t.append(next(one for one in t if one["summed"]) | {"summed": 0}),
-    "summed at ticks": lambda t: next(one for one in t if one["channel"][0] == "noise").update(summed=1),
     "summed by halves": lambda t: t[0].update(summed=2),
     "no a": lambda t: t[0].update(a="0"),
     "a negative bound": lambda t: t[0]["signals"][0].__setitem__(2, "-9"),

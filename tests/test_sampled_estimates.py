@@ -18,9 +18,10 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.acting import held
-from pwatrack.simulation.acting_estimates import OtherCells, crossed, loads_at_start, with_loads
+from pwatrack.simulation.acting_estimates import OtherCells, crossed
 from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import desired_flow
+from pwatrack.simulation.loads_along import LoadsAlong, with_loads
 from pwatrack.simulation.propagate import simulate_flow
 from tests.sampled import worst_found
 from tests.test_sampled_loads import BENT, LOADS, written
@@ -163,14 +164,13 @@ def test_the_walk_shows_what_acts(loop: tuple[str, Spec, ProvedController, Sampl
     """The true trajectory in small steps, with its loads, and beside it the program's own at ticks."""
     _, spec, controller, bounds = loop
     acts, plant, fine, r = bounds.acts, controller.plant, 10, bounds.errors.gains.substeps
-    s = loads_at_start(controller, spec.scenario.conditions)
-    assert np.abs(s).max() > 0.05
-    trajectory, start = with_loads(controller, s), np.array([0.1])
+    along = LoadsAlong.of(controller, spec.scenario.conditions, bounds.errors.gains)
+    assert np.abs(along.start).max() > 0.05
+    trajectory, start = with_loads(controller, along), np.array([0.1])
     z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
     trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=12, sample_time=H / fine)
     x_d = np.einsum("knj,kj->kn", trajectory.x_d[trace.modes[:, 0]], trace.z)
-    assert plant.loads is not None
-    walked = held(Program(controller).tables, start, s, plant.loads.S.floats)
+    walked = held(Program(controller).tables, start, along)
     own = np.array([x for (x, *_), _ in zip(walked, range(600), strict=False)])
     x_d = x_d[: 600 * fine + 1]
     moved = np.array([x_d[k * fine : (k + 1) * fine + 1] - own[k] for k in range(600)])

@@ -426,6 +426,9 @@ def of_size_one(controller: ProvedController, _: object) -> Acting:
     plant = controller.plant
     channels: list[Channel] = [("disturbance", k) for k in range(len(plant.B))]
     channels += [("noise", k) for k in range(len(plant.C))]
+    assert plant.loads is not None
+    loads = np.ones(len(plant.loads.S.floats))
+    channels += [("load", k) for k in range(len(loads))]
     near = np.zeros((1, len(plant.partition.H)))
     return Acting(
         squares={of: np.ones(1) for of in channels},
@@ -435,16 +438,17 @@ def of_size_one(controller: ProvedController, _: object) -> Acting:
         near=near,
         apart=near,
         changes=np.zeros(plant.B.shape[1]),
+        loads=loads,
     )
 
 
 def test_no_switching_is_above_a_tube(bounded: tuple[Spec, ProvedController, SampledBounds]) -> None:
     """Of what acts at its worst, with what is held and what drives it at ticks switched together."""
     _, controller, bounds = bounded
-    assert len(bounds.tubes) == len(controller.plant.B) + len(controller.plant.C)
+    assert bounds.tubes.keys() == bounds.acts.squares.keys()
     for channel, (one, *_) in bounds.tubes.items():
         c, size = row(bounds.errors, (controller.tracking, 0)).floats, one.sizes[0]
-        found = max(worst_found(bounds, channel, c, seed) for seed in range(20))
+        found = max(worst_found(bounds, channel, c, seed, summed=one.summed) for seed in range(20))
         assert 0.05 * size < found <= size
 
 

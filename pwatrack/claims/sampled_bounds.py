@@ -164,9 +164,12 @@ class TubeBounds(Claim):
         """Return how far off u_ff all that acts takes some inputs at most, from error 0 on, for any switching.
 
         Then by how much it changes them from one tick to the next at most, with all that they change by along x_d, from
-        0 on. It is for the loop without limits; `rows` read them off z, less estimates of loads.
+        0 on. It is for the loop without limits; `rows` read them off z, less estimates of loads, so that loads that
+        step, and are in no start, are added.
         """
-        most = self.off(rows)
+        loads = self.errors.plant.loads
+        at = np.array((loads and loads.inputs(self.errors.plant.exact.B)) or (), dtype=np.int64)
+        most = self.off(rows) + [self.acts.loads[: len(at)][at == k].sum() for k in inputs]
         beside = [self.acts.beside.get(("input", k), np.zeros(1)).max() for k in inputs]
         return (most + beside) * OVER_SUMS, (2 * most + self.acts.changes[list(inputs)]) * OVER_SUMS
 
@@ -271,6 +274,11 @@ class TubeBounds(Claim):
             elif kind == "eta":
                 assert controller.form is not None
                 yield (f"{controller.form.eta_names[k]} stepped in another cell", ""), size
+            elif kind == "load":
+                assert plant.loads is not None
+                at = next(j for j, group in enumerate(plant.loads.groups) if k in group)
+                name, later = plant.loads.names[at], ", a quarter of a period on" * (k != plant.loads.where[at])
+                yield (f"steps of {name}{later}", words.units.get(name, "")), size
             elif kind == "deviation":
                 yield (f"what is merged of {merged[k].nonlinearity.name}", ""), size
             elif kind in ("moved", "nominal"):
@@ -292,18 +300,19 @@ class SampledBounds(TubeBounds):
         "Under sampled_bounds: from z = 0 on, in the loop under sampled, what 1 of a channel at most can make of each "
         "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
         "at ticks, of the steps of u and of what a program in another cell puts out, beside nu, and makes of eta_hat, "
-        "at ticks, of what drives x - x_d alone as x_d moves in a sample, of what R x_nom moves in a substep, beside "
-        "every rho, and of R (x_nom - x_d), which acts by F less F of the mean of the A_i that have all others in "
-        "their hull; where x_d depends on loads, eta_hat is held against that of the program with the true ones. x_nom "
-        "is x in the loop of that mean, from x_d on, without noise, and z here is less what it is there. With Q linear "
-        "in time between the knots of each substep, q V of what it is beside, and g and h how it acts between ticks, "
-        "at the middle of a box, and at ticks, c Q c^T <= size^2 at all knots, "
-        "-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r r^T / (a - q^T T_e^-1 "
-        "q) < 0 with r = g + Q_e V^T T_e^-1 q at both ends e of each segment, "
-        "J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z "
-        "is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of "
-        "the term with r, g g^T < Q_e at all knots, for g at all corners: so the root of z^T Q^-1 z is at most the "
-        "integral of |d|, with weights that fall as e^(-a t / 2)."
+        "at ticks, of what a load steps by just before a tick, which s_hat - s loses, as x - x_d does what x_d moves "
+        "by, of what drives x - x_d alone as x_d moves in a sample, of what R x_nom moves in a substep, beside every "
+        "rho, and of R (x_nom - x_d), which acts by F less F of the mean of the A_i that have all others in their "
+        "hull; where x_d depends on loads, eta_hat is held against that of the program with the true ones. x_nom is x "
+        "in the loop of that mean, from x_d on, without noise, and z here is less what it is there. With Q linear in "
+        "time between the knots of each substep, q V of what it is beside, and g and h how it acts between ticks, at "
+        "the middle of a box, and at ticks, c Q c^T <= size^2 at all knots, -(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + "
+        "a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r r^T / (a - q^T T_e^-1 q) < 0 with r = g + Q_e V^T T_e^-1 q at "
+        "both ends e of each segment, J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends "
+        "of substeps: so z^T Q^-1 z is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at "
+        "ticks. With summed, in place of the terms with r and h, g g^T < Q_e at all knots, for g at all corners, or h "
+        "h^T < Q_0: so the root of z^T Q^-1 z is at most the integral of |d|, with weights that fall as e^(-a t / 2), "
+        "or the sum, with weights that fall by the root of 1 - b."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
     KEY: ClassVar[str] = "sampled_bounds"
@@ -381,7 +390,8 @@ class _Search:
         """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
         found = dict[Channel, tuple[Tube, ...]]()
         for channel in acts.squares:
-            each = (self._best(channel, summed) for summed in (False, True)[: 1 + (channel in acts.means)])
+            ways = (True,) if channel[0] == "load" else (False, True)[: 1 + (channel in acts.means)]
+            each = (self._best(channel, summed) for summed in ways)
             if tubes := tuple(one for one in each if one is not None):
                 found[channel] = tubes
         return found
@@ -408,7 +418,7 @@ class _Search:
         found = tube(self.program, driven(self.errors, channel), rows, self.weights, decay, summed=summed)
         if found is None:
             return None
-        ends = np.array(found.sizes) / (found.a if summed else 1.0)  # of 1 for good
+        ends = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good
         return float(self.weights @ np.square(ends)), share, found
 
 

@@ -52,7 +52,9 @@ MOST_WORK = 700_000  # matrices · order⁴: what a Newton step may cost
 _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 
 Loop = Literal["joint", "controller", "observer"]
-Acts = Literal["disturbance", "noise", "start", "input", "deviation", "moved", "nominal", "drawn", "cell", "eta"]
+Acts = Literal[
+    "disturbance", "noise", "start", "input", "deviation", "moved", "nominal", "drawn", "cell", "eta", "load"
+]
 Channel = tuple[Acts, int]
 Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive", "change"], int]
 

@@ -17,6 +17,7 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("drawn", k)         d in e_k' alone, so that ρ' has R ε_k d
     ("cell", k)          d on the k-th input as it is put out, as ("input", k) is
     ("eta", k)           d on the k-th entry of δ at a tick
+    ("load", k)          d on the k-th entry of s just before a tick: (e, σ_i) − (X ε_k, ε_k) d, then the tick
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
 Where λ times as much time passes as the program counts, in which e' is λ times as large and Δ' has (1 − λ) of it more,
@@ -26,8 +27,9 @@ V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 
 square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
 
 What moved drives by A_a − A_b, of the cells of the prediction as its substep began and now: by nothing in a substep in
-which both are on one side of every plane. The last three are of estimates of loads, see `simulation.acting_estimates`:
-they are there in a sample only if these move x_d across a plane from where it is in it.
+which both are on one side of every plane. "drawn", "cell" and "eta" are of estimates of loads, see
+`simulation.acting_estimates`: they are there in a sample only if these move x_d across a plane from where it is in it.
+"load" is of loads that step, see `simulation.loads_along`.
 """
 
 from collections.abc import Mapping
@@ -56,6 +58,7 @@ class Acting:
         planes: Normals of the planes between cells, (P, n).
         near: How near x_d + e₀ comes to each of them, in H x, (K, P).
         apart: How near x_d comes to each of them in the sample, and that of the program at its tick, likewise.
+        loads: How large those get that step, and are constants in between, (k,); 0 of others.
         changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
         along: Between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held;
             x_d, u_ff, eta_hat and w at ticks.
@@ -68,6 +71,7 @@ class Acting:
     near: Array
     apart: Array
     changes: Array
+    loads: Array
     along: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -82,6 +86,9 @@ def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where
         where: 0 for substeps in which it is known not to act, (K,).
     """
     step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
+    if tube.summed and tube.b:
+        ticks = scipy.signal.lfilter([1.0], [1.0, -np.sqrt(1 - tube.b)], np.sqrt(d[:: gains.substeps]))
+        return np.asarray(np.repeat(ticks, gains.substeps)[: len(d)] * OVER_POWERS)
     if channel[0] in ("noise", "eta"):
         ticks = scipy.signal.lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
         return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
@@ -114,6 +121,10 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
     if kind == "eta":
         kick = _unit(order, order - errors.more[-1] + k)
         return Drive(held=nothing, between=nothing, ticks=[kick] * len(errors.ticks))
+    if kind == "load":
+        own, X = _unit(N, n + k), zero(n, 1) if errors.estimates is None else errors.estimates.X.part(range(n), [k])
+        step = above(X, zero(m, 1), *d * [own], zero(order - first, 1))
+        return Drive(held=nothing, between=nothing, ticks=[J @ step for J in errors.ticks])
     if kind in ("disturbance", "deviation", "drawn"):
         one = errors.deviations[k][0] if kind == "deviation" else _unit(n, k)
         if kind == "drawn" or (kind == "deviation" and errors.plant.watched is not None):

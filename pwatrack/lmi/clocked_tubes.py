@@ -12,11 +12,13 @@ V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 �
 a = 0 or b = 0 at the other, without the terms with g and q. So from z = 0 always V ≤ 1, from everywhere V ends below 1,
 and |c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in `docs/theory/beyond.md`).
 
-A tube of what is summed, for a d that is seldom anything but 0, has in place of the term with g
+A tube of what is summed, for a d that is seldom anything but 0, has in place of the terms with g and Γ
 
     g gᵀ ≺ Q_e    for all knots e, all g = (F_i + U_i diag(ε) V_i) E + G with ε_k at 1 or −1
+    Γ_j Γ_jᵀ ≺ Q_0    for all j
 
-and V^½' ≤ −(a / 2) V^½ + |d|: V^½ ends below the integral of |d| with weights that fall as e^(−a t / 2).
+and V^½' ≤ −(a / 2) V^½ + |d|, or V^½⁺ ≤ (1 − b)^½ V^½ + |d|: V^½ ends below the integral of |d| with weights that fall
+as e^(−a t / 2), or the sum of |d| with weights that fall by (1 − b)^½.
 """
 
 from collections.abc import Iterator, Sequence
@@ -71,7 +73,7 @@ class TubeProgram:
         inside, back, eye = self.clock.inside(L, a / 2), np.linalg.inv(L), np.eye(len(L))
         ticks = [np.zeros(len(L))] * len(inside.J) if drive.ticks is None else [X.floats[:, 0] for X in drive.ticks]
         holding = L @ np.array([g.floats[:, 0] for g in drive.held_by(system)]).T
-        kicking = np.array(ticks) @ L.T / np.sqrt(b or np.inf)
+        kicking = np.array(ticks) @ L.T / np.sqrt(1.0 if summed else b or np.inf)
         h = self.clock.period
         driving = holding if summed else holding * np.sqrt(h / (a or np.inf))
         size = max(float((driving**2).max()), float((kicking**2).max()))
@@ -80,20 +82,22 @@ class TubeProgram:
         W, rest = (rows @ back).T * weights @ (rows @ back) + _FADING * eye, slack * eye
         fixed = [
             Bound({k: (-eye / 2, eye)}, rest + np.outer(g, g) / size)
-            for g in (np.unique(holding.T, axis=0) if summed else ())
+            for g in (np.unique(holding.T, axis=0) if summed and drive.ticks is None else ())
             for k in range(inside.count)
         ]
         fixed += [_kept(j - 1, j, inside.R, eye, rest) for j in range(self.knots + 1, inside.count, self.knots + 1)]
         for J_j, kick in zip(inside.J, kicking, strict=True):
-            left = J_j / np.sqrt(1 - b)
-            fixed.append(_kept(inside.count - 1, 0, left, self._seen(left), rest + np.outer(kick, kick) / size))
+            left, kicked = J_j / np.sqrt(1 - b), np.outer(kick, kick) / size
+            if summed:
+                fixed.append(Bound({0: (-eye / 2, eye)}, rest + kicked))
+            fixed.append(_kept(inside.count - 1, 0, left, self._seen(left), rest if summed else rest + kicked))
         acting = not (summed or drive.ticks is not None)
         push = _Push(
             clock=inside,
             g=drive.middles(system) @ L.T * (h / np.sqrt(size) * acting),
             q=inside.V @ L @ drive.held.floats[:, 0] / np.sqrt(size) * acting,
             a=a * h,
-            rest=(a * h if summed else 1.0) * rest,
+            rest=(a * h if summed and a else 1.0) * rest,
         )
         found = self.clock.of_few(
             lambda: inside.solved(fixed, push.bound, _GAP, W / inside.count),
@@ -220,7 +224,7 @@ def tube(
         rows: c, (s, n).
         weights: Of each, (s,).
         decay: a in 1/s, or what b makes up for in a period: less than twice the rate with which z falls.
-        summed: Whether d is summed; it acts between ticks then.
+        summed: Whether d is summed.
 
     Example: z' = −2 z + 3 d, and ticks that change nothing: |z| ≤ 3/2.
 
@@ -259,11 +263,13 @@ def contains(
     summed: bool = False,
 ) -> bool:
     """Say whether Q satisfy the inequalities, decided in fractions, for everything in the balls; a, b as they print."""
-    parts, pushes = knots_of(system, Q, T), a and not summed
-    if parts is None or not all(map(is_positive_definite, _jumps(system, driven, parts, Fraction(repr(b))))):
+    parts, pushes, ticks = knots_of(system, Q, T), a and not summed, driven.ticks
+    kicks = None if summed else ticks
+    if parts is None or not all(map(is_positive_definite, _jumps(system, kicks, parts, Fraction(repr(b))))):
         return False
-    holding = driven.held_by(system) if summed else []
-    left = (Q_k.P - square_above(column, [Fraction(1)], Q_k.scale) for column in holding for Q_k in Q)
+    holding = (ticks or driven.held_by(system)) if summed else []
+    inside = Q[:1] if ticks else Q
+    left = (Q_k.P - square_above(column, [Fraction(1)], Q_k.scale) for column in holding for Q_k in inside)
     if not all(map(is_positive_definite, left)):
         return False
     slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
@@ -297,12 +303,13 @@ def _pushed(
     return g + seen @ column, [1 / left]
 
 
-def _jumps(system: Clocked, driven: Drive, parts: Sequence[Sequence[Knot]], b: Fraction) -> Iterator[Rational]:
+def _jumps(
+    system: Clocked, kicks: Sequence[BallMatrix] | None, parts: Sequence[Sequence[Knot]], b: Fraction
+) -> Iterator[Rational]:
     """Yield what is to be positive definite at ticks and at the ends of parts."""
     (first, _), (last, _) = parts[0][0], parts[-1][-1]
-    kicks: Sequence[BallMatrix | None] = driven.ticks or [None] * len(system.J)
-    for J, kick in zip(system.J, kicks, strict=True):
-        kicked = first.P if kick is None else first.P - square_above(kick, [1 / b], first.scale)
+    for k, J in enumerate(system.J):
+        kicked = first.P if kicks is None else first.P - square_above(kicks[k], [1 / b], first.scale)
         yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
     for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
         assert system.between is not None

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,15 +104,20 @@ class Loads:
 
     def are(self, disturbance: Exosystem) -> bool:
         """Say whether a disturbance is such loads at all times: nothing is left over, steps or drifts."""
-        Q, rates, w = disturbance.Q, disturbance.rates, disturbance.w0
+        return not disturbance.resets and self.make(disturbance)
+
+    def make(self, disturbance: Exosystem) -> bool:
+        """Say whether a disturbance is such loads from each step to the next: nothing is left over, or drifts."""
+        Q, rates = disturbance.Q, disturbance.rates
         left = Q - self.E.floats[:, self.where] @ self.truth(Q, rates)
         frequencies = {float(load.frequency) for load in self.each}
-        for rate, chain in spectral_terms(disturbance.S, rates):
+        starts = disturbance.states(np.array([0.0, *(reset.t for reset in disturbance.resets)]))
+        for (rate, chain), w in product(spectral_terms(disturbance.S, rates), starts):
             first, *more = (E @ w for E in chain)
             missed = np.abs(left @ first).max(initial=0.0) > 1e-12 * (np.abs(Q) @ np.abs(first)).max(initial=0.0)
             if missed or abs(rate) not in frequencies or rate.real or np.any(more):
                 return False
-        return not disturbance.resets
+        return True
 
     def truth(self, Q: Array, rates: NDArray[np.complex128]) -> Array:
         """Return rows that read the loads off the exosystem of a disturbance w: what of E d they can make up.

@@ -32,12 +32,13 @@ from pwatrack.control.vertices import Differences
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
-from pwatrack.simulation.acting_estimates import ROUNDING, OtherCells, crossed, loads_at_start, with_loads
+from pwatrack.simulation.acting_estimates import ROUNDING, OtherCells, crossed
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import along, desired_flow
 from pwatrack.simulation.enclosure import Segments, spans
 from pwatrack.simulation.flow import Flow, Mode
+from pwatrack.simulation.loads_along import LoadsAlong, with_loads
 from pwatrack.simulation.propagate import pieces, sample_count, trace_blocks
 from pwatrack.simulation.trace import Trace
 
@@ -60,7 +61,7 @@ def acting(
     duration = duration if end is None else min(duration, end)
     if trajectory.preview is not None or duration / gains.sample_time * gains.substeps > _MOST:
         return None
-    runs, loads = program(controller, Conditions(sampling=sampling)), loads_at_start(controller, conditions)
+    runs, loads = program(controller, Conditions(sampling=sampling)), LoadsAlong.of(controller, conditions, gains)
     walk = _Walk(controller, errors, runs, loads)
     try:
         found = walk.walked(eta, duration)
@@ -71,7 +72,11 @@ def acting(
     squares, beside, count = dict(found.squares), dict(found.beside), len(found.near)
     paced = float(errors.paces[-1])  # d acts for as long as passes
     squares |= {("deviation", k): np.full(count, (paced * most) ** 2) for k, (_, most) in enumerate(errors.deviations)}
-    for channel, each in _outside(controller, conditions, errors, duration, count).items():
+    for tick, change in loads.steps.items():
+        if tick * gains.substeps < count:
+            for k in np.flatnonzero(change).tolist():
+                squares.setdefault(("load", k), np.zeros(count))[tick * gains.substeps] = change[k] ** 2
+    for channel, each in _outside(controller, conditions, errors, duration, count, loads).items():
         late = np.sqrt(squares.get(channel, np.zeros(count)))
         squares[channel] = (late + np.sqrt(each) * (paced if channel[0] == "disturbance" else 1.0)) ** 2
     if conditions.quanta is not None:
@@ -84,21 +89,30 @@ def acting(
 
 
 def _outside(
-    controller: ProvedController, conditions: Conditions, errors: SampledErrors, duration: float, count: int
+    controller: ProvedController,
+    conditions: Conditions,
+    errors: SampledErrors,
+    duration: float,
+    count: int,
+    loads: LoadsAlong,
 ) -> dict[Channel, Array]:
     """Return the mean squares in each substep of disturbances; of what is measured off by noise and steps, at ticks.
 
     A tick of a run is up to half of the jitter off its time: it may be a substep before or after that it belongs to.
     """
-    loads, disturbance, parts = controller.plant.loads, conditions.disturbance, errors.gains.substeps
+    disturbance, parts = loads.rest, errors.gains.substeps
     h, found = errors.gains.sample_time, dict[Channel, Array]()
-    if disturbance is not None and not (loads is not None and loads.are(disturbance)):
+    if disturbance is not None:
         rows = np.hstack([disturbance.Q, np.zeros((len(disturbance.Q), 1))])
         step = h / parts
         segments = along(disturbance, count * step, steps=count)
         at = np.clip(np.floor(segments.t / step + _ON_TICK).astype(np.int64), 0, count - 1)
         squares = np.zeros((count, len(rows)))
         np.add.at(squares, at, spans(segments, lambda _: rows).squares)
+        if loads.steps:  # of a difference
+            times = np.array([0.0, *(reset.t for reset in disturbance.resets)])
+            sizes = (np.abs(disturbance.states(times)) @ np.abs(disturbance.Q).T).max(axis=0)
+            squares[squares <= (ROUNDING * sizes) ** 2 * step] = 0.0
         found |= {("disturbance", k): square / step for k, square in enumerate(squares.T)}
     ticks = np.arange(count) // parts
     off = np.zeros((ticks[-1] + 1, len(controller.plant.C)))
@@ -123,12 +137,12 @@ class _Walk:
     """
 
     def __init__(
-        self, controller: ProvedController, errors: SampledErrors, runs: SampledController, loads: Array
+        self, controller: ProvedController, errors: SampledErrors, runs: SampledController, loads: LoadsAlong
     ) -> None:
         estimated = errors.estimates is not None
-        self._plant, self._runs, self._loads = controller.plant, runs, loads if estimated else 0.0 * loads
+        self._plant, self._runs, self._loads = controller.plant, runs, loads if estimated else loads.none
+        self._stepping = loads.largest
         self._trajectory = with_loads(controller, loads) if estimated else controller.trajectory
-        self._S = controller.plant.loads.S.floats if controller.plant.loads is not None else np.zeros((0, 0))
         self._others = OtherCells(controller, errors) if estimated else None
         self._made = list[tuple[Array, Array]]()  # by other cells, of u and of η̂, block by block
         self._known = list[Array]()  # x_d of the program, likewise
@@ -204,6 +218,7 @@ class _Walk:
             near=near,
             apart=self._apart(ends, near),
             changes=self._changes * OVER_POWERS,
+            loads=self._stepping,
             along=self._along,
         )
 
@@ -215,7 +230,7 @@ class _Walk:
         whole = np.full((2, -(-count // r) * r, near.shape[1]), -np.inf)
         whole[:, :count] = ends
         held = np.vstack(self._known)[: whole.shape[1] // r] @ planes.H.T + planes.h
-        whole = whole.reshape(2, -1, r, near.shape[1]).max(axis=2)
+        whole = whole.reshape(2, whole.shape[1] // r, r, near.shape[1]).max(axis=2)
         high, low = np.maximum(whole[0], held), np.minimum(-whole[1], held)
         return np.repeat(np.maximum(np.maximum(low, -high), 0.0), r, axis=0)[:count]
 
@@ -258,7 +273,7 @@ class _Walk:
 
     def _segments(self, eta: Array, duration: float) -> Iterator[tuple[Segments, IntArray]]:
         """Yield the walk block by block, with the substep of the block that each segment is in."""
-        system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta, self._loads, self._S)
+        system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta, self._loads)
         flow, z0 = self._flow, np.concatenate([eta, system.w0, [1.0]])
         resets = pieces(system, slice(p, p + len(system.w0)))
         for trace in trace_blocks(
@@ -321,28 +336,26 @@ class _Walk:
         return turns
 
 
-def held(
-    runs: SampledController, eta: Array, loads: Array, S: Array
-) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
+def held(runs: SampledController, eta: Array, loads: LoadsAlong) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
     """Yield x_d, u_ff, η̂, w and s as the program has them for what it holds from each tick on, from η̂(0) at the first.
 
-    It is with the true loads s, s' = S s, in place of ŝ. Before the first input that it puts out it has 0.
+    It is with the true loads s in place of ŝ. Before the first input that it puts out it has 0.
     """
     follows, h, ahead = runs.follows, runs.sampling.sample_time, runs.sampling.ahead
     assert follows is not None
     starts, w, tick = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy(), 0
-    begins, turn, before = sorted(starts), expm(S * h), expm(S * (-ahead * h))  # ŝ is that of the tick, before u acts
-    for early in follows.early:
-        s = np.concatenate([before @ loads, eta, early, [1.0]])
+    begins, before = sorted(starts), expm(loads.S * (-ahead * h))  # ŝ is that of the tick, before u acts
+    each = loads.ticks
+    for early, now in zip(follows.early, each, strict=False):
+        s = np.concatenate([before @ now, eta, early, [1.0]])
         i = cell(runs.sides, runs.guards @ s)
-        yield runs.x_d[i] @ s, np.zeros(runs.u_ff.shape[1]), eta, early, loads
-        eta, loads = runs.generator[i] @ s, turn @ loads
-    while True:
+        yield runs.x_d[i] @ s, np.zeros(runs.u_ff.shape[1]), eta, early, now
+        eta = runs.generator[i] @ s
+    for now in each:
         while begins and begins[0][0] <= tick:
             begin = begins.pop(0)
             w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
-        s = np.concatenate([before @ loads, eta, w, [1.0]])
+        s = np.concatenate([before @ now, eta, w, [1.0]])
         i = cell(runs.sides, runs.guards @ s)
-        yield runs.x_d[i] @ s, runs.u_ff[i] @ s, eta, w, loads
+        yield runs.x_d[i] @ s, runs.u_ff[i] @ s, eta, w, now
         eta, w, tick = runs.generator[i] @ s, follows.turn[0] @ w if len(w) else w, tick + 1
-        loads = turn @ loads

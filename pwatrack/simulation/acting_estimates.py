@@ -12,64 +12,21 @@ the program at the tick, with means that differ by what D_j ε crosses.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from scipy.linalg import expm
 
 from pwatrack.arrays import OVER_SUMS, Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import flows, means, on_estimates
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.vertices import Box, differences, factors
-from pwatrack.model.conditions import Conditions
 from pwatrack.rational import pivots, rational
 from pwatrack.simulation.controller_arrays import cell
 
 ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
 _ON_FACET = 1e-12  # of its terms: a form of y that is nearer to 0 may have either sign
-
-
-def loads_at_start(controller: ProvedController, conditions: Conditions) -> Array:
-    """Return s(0), (k,); 0 where the disturbance is not at all times the loads: then all of it is one."""
-    loads, disturbance = controller.plant.loads, conditions.disturbance
-    s = np.zeros(0 if loads is None else len(loads.S.floats))
-    if loads is not None and disturbance is not None and loads.are(disturbance):
-        rows = loads.truth(disturbance.Q, disturbance.rates)
-        for load, row, group in zip(loads.each, rows, loads.groups, strict=True):
-            s[group[0]] = row @ disturbance.w0
-            if load.order == 2:
-                s[group[1]] = row @ disturbance.S @ disturbance.w0 / float(load.frequency)
-    return s
-
-
-def with_loads(controller: ProvedController, s: Array) -> DesiredTrajectory:
-    """Return the desired trajectory of true loads that begin at s, which are the last entries of w."""
-    trajectory, added, loads = controller.trajectory, controller.compensation, controller.plant.loads
-    assert loads is not None
-    system, S = trajectory.exosystem, loads.S.floats
-
-    def beside(rows: Array, more: Array) -> Array:
-        return np.concatenate([rows[..., :-1], more, rows[..., -1:]], axis=-1)
-
-    exosystem = replace(
-        system,
-        S=block_diag(system.S, S),
-        rates=np.append(system.rates, np.linalg.eigvals(S).astype(np.complex128)),
-        Q=np.pad(system.Q, ((0, 0), (0, len(s)))),
-        w0=np.append(system.w0, s),
-        period=None if S.any() else system.period,
-    )
-    return replace(
-        trajectory,
-        exosystem=exosystem,
-        rate=beside(trajectory.rate, added.rate),
-        x_d=beside(trajectory.x_d, np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], len(s)))),
-        u_ff=beside(trajectory.u_ff, added.u_ff),
-        guards=beside(trajectory.guards, added.guards),
-    )
 
 
 def crossed(errors: SampledErrors) -> tuple[Array, Array]:

@@ -13,12 +13,12 @@ from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController, Seen
 from pwatrack.model.conditions import Conditions
 from pwatrack.real import Box, inside
-from pwatrack.simulation.acting_estimates import loads_at_start
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.desired import along
 from pwatrack.simulation.enclosure import Enclosing, Segments, enclosed
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.layout import Actuator, RateLimit
+from pwatrack.simulation.loads_along import loads_at_start
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.spec import Spec
 

@@ -52,21 +52,24 @@ class Tubes:
         errors, a, b = self.errors, number(entry["a"]), number(entry["b"])
         runs = runs_of(errors, entry["Q"], entry["T"], "the tube of the sampled loop is not that of its knots")
         forms, summed = [knot[:2] for knot in chain(*runs)], entry["summed"] == 1
-        ticks = entry["channel"][0] in ("noise", "eta")
+        ticks = entry["channel"][0] in ("noise", "eta", "load")
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
-        if entry["summed"] not in (0, 1) or (summed and ticks):
-            raise AuditFault("only what acts between ticks is summed")
+        if entry["summed"] not in (0, 1):
+            raise AuditFault("what is summed is 1 or 0")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
         held, between, kicks = self.drive(entry["channel"])
         (last, powers), (first, others) = forms[-1], forms[0]
         for tick, kick in zip(errors.ticks, kicks, strict=True):
-            inside = less_square(first, others, kick, 1 / b) if ticks else first
+            inside = less_square(first, others, kick, 1 / b) if ticks and not summed else first
+            if ticks and summed and not definite(less_square(first, others, kick)):
+                faults.append("what is summed leaves its tube")
             if not shrinks(tick.T, (times(last, 1 / (1 - b)), powers), (inside, others)):
                 faults.append("a tick leaves its tube")
         if not all(shrinks(errors.substep.T, before[-1][:2], after[0][:2]) for before, after in pairwise(runs)):
             faults.append("the end of a substep leaves its tube")
-        pushing = unlike([F @ held + between for box in errors.flows for F in seen(*box, held)]) if summed else []
+        flows = errors.flows if summed and not ticks else []
+        pushing = unlike([F @ held + between for box in flows for F in seen(*box, held)])
         if not all(definite(less_square(*Q, g)) for _, g in pushing for Q in forms):
             faults.append("what is summed leaves its tube")
         for run in runs:
@@ -102,17 +105,9 @@ class Tubes:
     def drive(self, channel: Any) -> tuple[Ball, Ball, list[Ball]]:
         """Return what 1 of a channel is beside z, adds to z', and to z at a tick, for each that there may be."""
         (kind, k), (n, m, N, q) = channel, self.sizes
-        counts = {
-            "disturbance": n,
-            "deviation": len(self.merged),
-            "noise": len(self.errors.plant.C[0]),
-            "input": m,
-            "moved": q,
-            "nominal": len(self.errors.followed),
-            "drawn": n,
-            "cell": m,
-            "eta": self.errors.p,
-        }
+        counts = dict.fromkeys(("disturbance", "drawn"), n) | dict.fromkeys(("input", "cell"), m)
+        counts |= {"deviation": len(self.merged), "noise": len(self.errors.plant.C[0]), "moved": q, "load": N - n}
+        counts |= {"nominal": len(self.errors.followed), "eta": self.errors.p}
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
@@ -124,8 +119,12 @@ class Tubes:
             put_out = errors.put_out(e, Delta if errors.late else M, zero(errors.p, 1))
             return nothing, nothing, [stacked(e, nu, M, *others, more) for nu, more in put_out]
         if kind == "eta":
-            kick = unit(errors.order, errors.order - errors.p + k)
-            return nothing, nothing, [kick] * len(errors.ticks)
+            return nothing, nothing, [unit(errors.order, errors.order - errors.p + k)] * len(errors.ticks)
+        if kind == "load":
+            if errors.estimates is not None:
+                e = errors.estimates.hull[0][1].column(k)
+            step = stacked(e, nu, *d * [unit(N, n + k)], *d * [rho], rest)
+            return nothing, nothing, [tick @ step for tick in errors.ticks]
         if kind == "nominal":
             at = errors.followed[k]
             mean = errors.mean.column(at)

@@ -1,0 +1,137 @@
+"""Loads of a run that are estimated, as the errors of a sampled loop count them.
+
+A load that steps between two ticks counts as it was up to the next tick: till then its step acts as a disturbance, and
+just before that tick the load has it. There σ = ŝ − s loses it, and e = x − x_d what x_d, which is that of the loads,
+moves by: see `control.sampled_disturbances`. Where a load steps in a run, errors count from s = 0 on: then s(0) steps
+before the first tick.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import ceil
+
+import numpy as np
+from scipy.linalg import block_diag, expm
+
+from pwatrack.arrays import Array
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.trajectory import DesiredTrajectory
+from pwatrack.model.conditions import Conditions
+from pwatrack.model.loads import Loads
+from pwatrack.model.reference import Exosystem, Reset
+
+_ON_TICK = 1e-9  # of a sample: a step that is nearer after a tick is on it but for rounding
+
+
+def loads_at_start(controller: ProvedController, conditions: Conditions) -> Array:
+    """Return s(0), (k,); 0 where the disturbance is not at all times the loads, or steps: then it counts from 0 on."""
+    loads, disturbance = controller.plant.loads, conditions.disturbance
+    if loads is None or disturbance is None or not loads.are(disturbance):
+        return np.zeros(0 if loads is None else len(loads.S.floats))
+    return _loads_of(loads, disturbance, disturbance.w0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadsAlong:
+    """Loads s, s' = S s, and what they step by just before a tick.
+
+    Attributes:
+        S: In 1/s, (k, k).
+        start: s from the first tick on, (k,).
+        steps: By the number of a tick, (k,) each; what errors are without at first is one at the first.
+        sample_time: From tick to tick, in s.
+        rest: What of the disturbance acts beside them; None where nothing does.
+    """
+
+    S: Array
+    start: Array
+    sample_time: float
+    steps: Mapping[int, Array] = field(default_factory=dict)
+    rest: Exosystem | None = None
+
+    @classmethod
+    def of(cls, controller: ProvedController, conditions: Conditions, gains: SampledGains) -> "LoadsAlong":
+        """Return the loads of a run with a program of such gains; none where the disturbance is not made of them."""
+        loads, disturbance, h = controller.plant.loads, conditions.disturbance, gains.sample_time
+        S = np.zeros((0, 0)) if loads is None else loads.S.floats
+        none = cls(S=S, start=loads_at_start(controller, conditions), sample_time=h)
+        if disturbance is None or loads is None or not loads.make(disturbance):
+            return replace(none, rest=disturbance)
+        if not disturbance.resets:
+            return none
+        s, last = _loads_of(loads, disturbance, disturbance.w0), 0.0
+        start, steps = s, {0: s}
+        times = np.unique([reset.t for reset in disturbance.resets])
+        for t, w in zip(times.tolist(), disturbance.states(times), strict=True):
+            before, s, last = expm(S * (t - last)) @ s, _loads_of(loads, disturbance, w), t
+            tick = ceil((t + gains.jitter / 2) / h - _ON_TICK)  # by then it has stepped, if that is late or not
+            steps[tick] = steps.get(tick, 0.0) + expm(S * (tick * h - t)) @ (s - before)
+        found = replace(none, start=start, steps={tick: step for tick, step in steps.items() if step.any()})
+        seen = np.zeros((len(disturbance.Q), len(S)))
+        seen[:, list(loads.where)] = loads.E.floats[:, loads.where]
+        return replace(found, rest=replace(found.behind(disturbance), Q=np.hstack([disturbance.Q, -seen])))
+
+    @property
+    def none(self) -> "LoadsAlong":
+        """None of them."""
+        return replace(self, start=0 * self.start, steps={})
+
+    @property
+    def ticks(self) -> Iterator[Array]:
+        """They from each tick on."""
+        s, turn, tick = self.start, expm(self.S * self.sample_time), 0
+        while True:
+            yield s
+            tick += 1
+            s = turn @ s + self.steps.get(tick, 0.0)
+
+    @property
+    def largest(self) -> Array:
+        """How large each gets, of loads that step and are constants in between, (k,); 0 of others."""
+        s = np.cumsum([np.zeros(len(self.S)), *self.steps.values()], axis=0)
+        return np.asarray(np.abs(s).max(axis=0))
+
+    def behind(self, system: Exosystem) -> Exosystem:
+        """Return an exosystem with them as the last entries of its w, on which no signal depends."""
+        p, h, ticks = len(system.w0), self.sample_time, range(max(self.steps, default=0) + 1)
+        after = ((tick, s) for tick, s in zip(ticks, self.ticks, strict=False) if tick and tick in self.steps)
+        resets = (Reset(tick * h, slice(p, p + len(s)), s) for tick, s in after)
+        return replace(
+            system,
+            S=block_diag(system.S, self.S),
+            rates=np.append(system.rates, -1j * np.abs(self.S).sum(axis=1)),  # d' = ω a turns the other way
+            Q=np.pad(system.Q, ((0, 0), (0, len(self.S)))),
+            w0=np.append(system.w0, self.start),
+            resets=tuple(sorted([*system.resets, *resets], key=lambda reset: reset.t)),
+            period=None if self.S.any() else system.period,
+        )
+
+
+def with_loads(controller: ProvedController, along: LoadsAlong) -> DesiredTrajectory:
+    """Return the desired trajectory of true loads, which are the last entries of w."""
+    trajectory, added = controller.trajectory, controller.compensation
+
+    def beside(rows: Array, more: Array) -> Array:
+        return np.concatenate([rows[..., :-1], more, rows[..., -1:]], axis=-1)
+
+    X = np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], len(along.S)))
+    return replace(
+        trajectory,
+        exosystem=along.behind(trajectory.exosystem),
+        rate=beside(trajectory.rate, added.rate),
+        x_d=beside(trajectory.x_d, X),
+        u_ff=beside(trajectory.u_ff, added.u_ff),
+        guards=beside(trajectory.guards, added.guards),
+    )
+
+
+def _loads_of(loads: Loads, disturbance: Exosystem, w: Array) -> Array:
+    """Return s (k,) of a disturbance made of loads, which is at w."""
+    s = np.zeros(len(loads.S.floats))
+    rows = loads.truth(disturbance.Q, disturbance.rates)
+    for load, row, group in zip(loads.each, rows, loads.groups, strict=True):
+        s[group[0]] = row @ w
+        if load.order == 2:
+            s[group[1]] = row @ disturbance.S @ w / float(load.frequency)
+    return s
