@@ -314,7 +314,9 @@ def test_a_gain_against_windup_can_help_and_never_as_much_as_a_gain_made_for_the
         assert found is not None
         shares.append(1 / found.sizes[0])
     boxes, still = [np.diag(starts)], np.zeros((n, n))
-    asked = LimitedGain(A=np.array(A), B=column, shift=still, starts=boxes, room=np.ones(1), over=np.inf)
+    asked = LimitedGain(
+        A=np.array(A), B=np.array([column] * len(A)), shift=still, starts=boxes, room=np.ones(1), over=np.inf
+    )
     far = asked.farthest()
     assert far is not None
     assert more * shares[0] < shares[1] < far[1]

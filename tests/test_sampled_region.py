@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,15 @@ from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.exact_text import decimal
 from pwatrack.claims.region import LimitedRegion
+from pwatrack.claims.registry import proved, read
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_region import SampledRegion, drives
 from pwatrack.commands.verify import verify
+from pwatrack.control.candidates import Candidates
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.headroom import InputConstraint
+from pwatrack.control.task import Task
 from pwatrack.lmi import polynomial_region
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.clocked_region import ClockedRegion
@@ -25,6 +31,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.workflow.pipeline import asked
 from tests.test_cli import call
 
 POLE = """
@@ -88,6 +95,16 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedControll
     load = "disturbance: {v: 0.3}"
     path = written(tmp_path_factory.mktemp("late"), more="estimate: input", also=load, delay=2)
     return load_spec(path), design(load_spec(path))
+
+
+def leaning(folder: Path, more: str = "") -> Path:
+    """Its start is beyond what the region of the gain of least cost holds, where samples are long."""
+    path = written(folder, more=more, observer="{z: 0.4, v: -1.6}")
+    text = (
+        path.read_text(encoding="utf-8").replace("plant: {z: 0.2}", "plant: {z: 0.4, v: -1.6}").replace("0.02", "0.1")
+    )
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 def scaled(controller: ProvedController) -> dict[str, float]:
@@ -368,3 +385,50 @@ def test_what_is_forged_is_found_out(change: Any, fault: str | None, certificate
     _, faults = audit(json.dumps(forged))
     assert faults
     assert fault is None or any(one.startswith(fault) for one in faults), faults
+
+
+def test_a_smaller_K_is_made_for_the_start_of_a_run_where_that_of_least_cost_does_not_do(tmp_path: Path) -> None:
+    path = leaning(tmp_path)
+    spec = load_spec(path)
+    controller = design(spec)
+    loop, own = controller.claim(SampledLoop), asked(spec, replace(controller, claims=()))
+    assert loop.cheaper is not None
+    assert own.sampled is not None
+    assert np.array_equal(loop.cheaper, own.sampled.K)
+    before = proved(replace(controller, claims=()), own)
+    assert scaled(before)["run"] < 1 <= scaled(controller)["run"]
+    norms = [float(np.linalg.norm(controller.sizes.gain(K), 2)) for K in (loop.gains.K, loop.cheaper)]
+    assert norms[0] < norms[1]
+    (said,) = (text for _, text in loop.rows(spec.words, controller) if "inputs at limits" in text)
+    assert f"{norms[1] / norms[0]:.2g} times smaller" in said
+    assert simulate(spec, controller).outcome.kind == "tracks"
+    call("design", str(path), "--out", str(tmp_path / "out"))
+    verify(tmp_path / "out" / "certificate.json", path)
+    told = read(json.loads((tmp_path / "out" / "certificate.json").read_text()), replace(controller, claims=()), own)
+    assert [*told.claim(SampledLoop).rows(spec.words, told)] == [*loop.rows(spec.words, controller)]
+
+
+@pytest.mark.parametrize("more", ["controller: {K: [[-11, -6]]}", "controller: {rate: largest, gain: 9}"])
+def test_a_K_that_is_given_or_sought_otherwise_stays(more: str, tmp_path: Path) -> None:
+    spec = load_spec(leaning(tmp_path, more))
+    controller = design(spec)
+    loop = controller.claim(SampledLoop)
+    assert loop.cheaper is None
+    other = replace(loop.gains, K=loop.gains.K * 0.9)
+    content = design_certificate(spec, replace(controller, claims=(replace(loop, gains=other),)))
+    with pytest.raises(ValueError, match="not those of its certificate"):
+        read(content, replace(controller, claims=()), asked(spec, replace(controller, claims=())))
+
+
+@pytest.mark.parametrize("h", [0.05, 0.5, 1.0])
+def test_of_one_state_a_gain_for_held_inputs_brings_nearly_all_to_0_that_any_input_can(h: float) -> None:
+    """z' = a z + v with |v| ≤ 1 can be brought to 0 from |z| < 1 / a, however long v is held."""
+    task = Task(A=np.array([[[0.5]]]), B=np.eye(1), cells=["all"])
+    within = InputConstraint(starts=[np.eye(1)], left=np.ones(1), over=8.0)
+    found = Candidates(task).farthest_held(within, h)
+    assert found is not None
+    turn, push = np.exp(0.5 * h), np.expm1(0.5 * h) / 0.5
+    z = np.array([0.99, 0.5, 0.1]) / 0.5
+    for _ in range(int(400 / h)):
+        z = turn * z + push * np.clip(found.K[0, 0] * z, -1, 1)
+    assert np.abs(z).max() < 1e-9

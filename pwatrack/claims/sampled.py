@@ -1,7 +1,7 @@
 """What is proved of the program itself: a loop that is sampled, with inputs that are held, between its ticks too."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -13,12 +13,15 @@ from pwatrack.claims.exact_text import clocked_content, decimal, decimal_texts, 
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.estimated_loads import OnEstimates, refused
+from pwatrack.control.goal import AtLeast
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.sampled_optimal import candidates
 from pwatrack.control.sampled_search import longest, too_much, with_forms
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.inequality import CONTROLLER
+from pwatrack.model.conditions import Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 
@@ -54,11 +57,13 @@ class SampledLoop(SampledClaim):
         design: Plant, K, L and sizes that gains for other sample times can be made of; None where it is from a file.
         estimates: How x_d and u_ff of it depend on estimates.
         merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
+        cheaper: The K in whose place that of the program is, where this was made for limits, (m, n); else None.
     """
 
     design: tuple[PWASystem, Array, Array, Sizes] | None = field(default=None, compare=False, repr=False)
     estimates: OnEstimates | None = field(default=None, compare=False, repr=False)
     merged: bool = False
+    cheaper: Array | None = field(default=None, compare=False, repr=False)
 
     statement: ClassVar[str] = (
         "Under sampled: P of z = (x - x_d, nu, x_hat_i - x, s_hat_i - s, rho_i), with x_hat_i as it is predicted for "
@@ -81,17 +86,17 @@ class SampledLoop(SampledClaim):
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
         """Yield the proof, or why there is none, where the loop is to be sampled."""
         if asked.sampled is not None:
-            yield _proved(controller, list(_candidates(controller, asked, asked.sampled)))
+            found = _proved(controller, list(_candidates(controller, asked, asked.sampled)))
+            yield replace(found, cheaper=_cheaper(controller, asked, found.gains))
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
         told = content["sampled"]
         if told is not None:
             gains = _read_gains(told)
-            tried = () if asked.sampled is None else _candidates(controller, asked, asked.sampled)
-            if asked.sampled is not None and not any(_same(gains, each) for each in tried):
-                raise ValueError("the gains of the sampled loop are not those of its certificate")
-            yield cls(gains=gains, proof=read_clocked(told), merged=bool(controller.claims_of(Practical)))
+            cheaper = None if asked.sampled is None else _cheaper(controller, asked, gains)
+            merged = bool(controller.claims_of(Practical))
+            yield cls(gains=gains, proof=read_clocked(told), merged=merged, cheaper=cheaper)
         elif asked.sampled is not None:
             gains = next(_candidates(controller, asked, asked.sampled))
             yield cls(gains=gains, proof=None, missing=_beyond(controller, gains) or _NOT_FOUND)
@@ -121,6 +126,11 @@ class SampledLoop(SampledClaim):
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         yield "sampled loop", self.sentence
         yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}"
+        if self.cheaper is not None:
+            norms = (float(np.linalg.norm(controller.sizes.gain(K), 2)) for K in (self.cheaper, self.gains.K))
+            share = next(norms) / next(norms)
+            much = f"{share:.2g} times smaller" if share >= 1 else f"{1 / share:.2g} times larger"
+            yield "", f"K is made for starts with inputs at limits: {much} in sizes than {matrix_text(self.cheaper)}"
 
     @property
     def sentence(self) -> str:
@@ -184,6 +194,24 @@ def _beyond(controller: ProvedController, gains: SampledGains) -> str:
 
 def _candidates(controller: ProvedController, asked: Asked, made: SampledGains) -> Iterator[SampledGains]:
     return candidates(controller.plant, controller.sizes, asked.words.goals, made)
+
+
+def _cheaper(controller: ProvedController, asked: Asked, gains: SampledGains) -> Array | None:
+    """Return the K in whose place that of gains is, if it was sought for limits.
+
+    Raises ValueError if they are not gains that this controller may run with.
+    """
+    assert asked.sampled is not None
+    of, goal = asked.sampled, asked.words.goals.get(CONTROLLER)
+    sampling = Sampling(sample_time=of.sample_time, delay=of.delay, jitter=of.jitter)
+    own = [*_candidates(controller, asked, sampled_gains(controller.plant, controller.K, controller.L, sampling))]
+    if any(_same(gains, each) for each in own):
+        return None
+    sought = asked.room is not None and isinstance(goal, AtLeast)
+    made = any(_same(replace(gains, K=each.K), each) for each in own) and sought
+    if not made and not any(_same(gains, each) for each in _candidates(controller, asked, of)):
+        raise ValueError("the gains of the sampled loop are not those of its certificate")
+    return own[0].K if sought else None
 
 
 def _proved(controller: ProvedController, tried: Sequence[SampledGains]) -> SampledLoop:

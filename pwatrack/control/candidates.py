@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 from pwatrack.arrays import EPS, Array
 from pwatrack.control.headroom import InputConstraint
@@ -83,13 +83,23 @@ class Candidates:
         found = self._limited(at, within, shift).farthest()
         return None if found is None else (self._candidate(at, found[0]), found[1])
 
+    def farthest_held(self, within: InputConstraint, h: float) -> Candidate | None:
+        """Return the same gain for inputs that are held for h (s), as if each sample began and ended in one cell."""
+        at, (n, m) = self._regulated(self._shift(0.0, 0.0)), self.task.B.shape
+        program = self._limited(at, within, np.zeros((n, n)))
+        whole = np.zeros((len(program.A), n + m, n + m))
+        whole[:, :n, :n], whole[:, :n, n:] = program.A, program.B
+        over = expm(whole * (h * at.speed))
+        found = replace(program, A=over[:, :n, :n], B=over[:, :n, n:], held=True).farthest()
+        return None if found is None else self._candidate(at, found[0])
+
     def _limited(self, at: Coordinates, within: InputConstraint, shift: Array) -> LimitedGain:
         """Return the program in coordinates in which the starts have size 1; P and Y are in proportion."""
         boxes = [at.inverse @ box for box in within.starts]
         size = max(float(np.linalg.norm(box, 2)) for box in boxes)
         return LimitedGain(
             A=at.system(self.A),
-            B=at.input(self.task.B),
+            B=np.array([at.input(self.task.B)] * len(self.A)),
             shift=shift,
             starts=[box / size for box in boxes],
             room=(1 - _SPARED) * within.left / at.e / size,

@@ -190,25 +190,26 @@ class LimitedFound:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedGain:
-    """What is asked."""
+    """What is asked: of z' = A_p z + B_p v, or of z⁺ = A_p z + B_p v of a sample where inputs are held."""
 
     A: Array  # (p, n, n)
-    B: Array  # (n, m)
+    B: Array  # (p, n, m)
     shift: Array  # what a rate adds to A while no limit is reached, (n, n)
     starts: Sequence[Array]  # boxes G ζ, |ζ_k| ≤ 1, each (n, k)
     room: Array  # by how much each input may differ from its feedforward, (m,); infinite where it has no limit
     over: float  # of its room, what K may ask of an input from the starts: at 1 no limit is reached
+    held: bool = False
 
     def cheapest(self, rows: Array) -> LimitedFound | None:
         """Return the gain of the least worst cost of rows (k, n) of z and of its inputs, with all starts inside."""
-        m = self.B.shape[1]
+        m = self.B.shape[2]
 
         def blocks(x: Unknowns) -> Iterator[Array]:
             yield from self._common(x, x["1"])
             t = x["t"][:, None, None]
-            for A_p in self.A:
+            for A_p, B_p in zip(self.A, self.B, strict=True):
                 seen = np.concatenate([rows @ x["Q"], x["Y"]], axis=1)
-                corner = -symmetric_part((A_p + self.shift) @ x["Q"] + self.B @ x["Y"])
+                corner = -symmetric_part((A_p + self.shift) @ x["Q"] + B_p @ x["Y"])
                 yield np.block([[corner, seen.transpose(0, 2, 1)], [seen, t * np.eye(len(rows) + m)]])
 
         found = minimised({**self._shapes, "t": ()}, blocks)
@@ -225,7 +226,7 @@ class LimitedGain:
 
     @property
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        n, m = self.B.shape
+        n, m = self.B.shape[1:]
         found: dict[str, tuple[int, ...]] = {f"w{k}": (G.shape[1],) for k, G in enumerate(self.starts)}
         found |= {"Q": (n, n), "Y": (m, n)}
         return found | {"Z": (m, n)} if self.over > 1 else found
@@ -235,16 +236,22 @@ class LimitedGain:
         Q, limited = x["Q"], np.flatnonzero(np.isfinite(self.room))
         yield from _inside(x, {f"w{k}": G for k, G in enumerate(self.starts)})
         kept = x["Z"] * (self.room > 0)[:, None] if self.over > 1 else x["Y"]
-        for A_p in self.A:
-            yield -symmetric_part((A_p + self.shift) @ Q + self.B @ x["Y"])
+        for A_p, B_p in zip(self.A, self.B, strict=True):
+            yield self._falls(Q, (A_p + self.shift) @ Q + B_p @ x["Y"], 0.0)
             for chosen in product((0.0, 1.0), repeat=len(limited) if self.over > 1 else 0):
                 S = limited[np.array(chosen, dtype=bool)]
-                added = self.B[:, S] @ (kept - x["Y"])[:, S]
-                yield -symmetric_part(A_p @ Q + self.B @ x["Y"] + added) - _DECAY * Q
+                added = B_p[:, S] @ (kept - x["Y"])[:, S]
+                yield self._falls(Q, A_p @ Q + B_p @ x["Y"] + added, _DECAY)
         for j in limited[self.room[limited] > 0].tolist():
             rows = [kept[:, j : j + 1] / self.room[j], x["Y"][:, j : j + 1] / (self.over * self.room[j])]
             for row in rows if 1 < self.over < np.inf else rows[:1]:
                 yield _bounded(Q, row, most)
+
+    def _falls(self, Q: Array, X: Array, decay: float) -> Array:
+        """Return what says that V falls along z' = X Q⁻¹ z, or z⁺ = X Q⁻¹ z."""
+        if self.held:
+            return np.block([[(1 - decay) * Q, X.transpose(0, 2, 1)], [X, Q]])
+        return -symmetric_part(X) - decay * Q
 
 
 def _inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:

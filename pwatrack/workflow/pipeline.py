@@ -35,6 +35,7 @@ from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.workflow.headroom import demand_of, room_of_signals, room_within_limits
 from pwatrack.workflow.outcome import RunMonitor, SimulatedLoop
+from pwatrack.workflow.sampled_starts import with_starts_inside as with_starts_inside_sampled
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import (
@@ -64,7 +65,8 @@ def design(spec: Spec, *, growing: bool = False) -> ProvedController:
                     program(controller, spec.scenario.conditions)  # or a refusal: a sample may be too long
                     if spec.scenario.conditions.pace is not None:
                         program(controller, spec.scenario.conditions, given=True)
-                return proved(controller, asked_of(spec, room, controller, taken))
+                asked = asked_of(spec, room, controller, taken)
+                return with_starts_inside_sampled(proved(controller, asked), asked)
         except PwatrackError as refusal:
             return _practical(spec, growing, refusal)
 
