@@ -23,8 +23,9 @@ from pwatrack import design
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.claims.sampled_region import SampledRegion, drives
+from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.headroom import InputConstraint
+from pwatrack.control.sampled_disturbances import drives
 from pwatrack.control.synthesis import Search
 from pwatrack.control.task import Task
 from pwatrack.lmi.clocked_region import ClockedRegion

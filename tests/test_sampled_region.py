@@ -18,11 +18,12 @@ from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.registry import proved, read
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.claims.sampled_region import SampledRegion, drives
+from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.commands.verify import verify
 from pwatrack.control.candidates import Candidates
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.headroom import InputConstraint
+from pwatrack.control.sampled_disturbances import drives
 from pwatrack.control.task import Task
 from pwatrack.lmi import polynomial_region
 from pwatrack.lmi.audit.certificate import audit

@@ -46,6 +46,7 @@ simulation:
   sample_time: TICK
   controller: {sample_time: TICK, delay: DELAY}
   disturbance: {ACTS}
+  initial: BEGINS
 """
 ALONE = {
     "at the input": ("{push: {into: {v: 1}}}", "v: {step: {size: 2, at: AT}}"),
@@ -88,7 +89,9 @@ def test_of_one_cell_a_step_makes_what_the_run_shows(which: str, at: float, late
     """With one cell all is linear: kicks before ticks, and the step as a disturbance up to then, are all that acts."""
     tick, (loads, acts) = 0.1, ALONE[which]
     text = ONE.replace("LOADS", loads).replace("ACTS", acts).replace("AT", str(at))
-    spec, controller = designed(text.replace("TICK", str(tick)).replace("DELAY", str(late)), tmp_path)
+    begins = "{plant: [0, 0]}" if late else "{plant: [0.2, -0.1], observer: [0.1, 0]}"
+    text = text.replace("TICK", str(tick)).replace("DELAY", str(late)).replace("BEGINS", begins)
+    spec, controller = designed(text, tmp_path)
     errors = controller.claim(SampledBounds).errors
     along, plant = along_of(spec, controller, errors), controller.plant
     assert plant.loads is not None
@@ -102,6 +105,9 @@ def test_of_one_cell_a_step_makes_what_the_run_shows(which: str, at: float, late
             drives = [driven(errors, ("disturbance", j)).between.floats[:, 0] for j in range(2)]
             g = sum(share * d for share, d in zip(E @ along.steps[k], drives, strict=True))
             z = first_ticks(errors, z, [(at - (first - 1) * tick, np.asarray(g))])
+        if k == 0 and not late:
+            (start,) = errors.starts or ()
+            z = start.floats[:, 0]
         z = J @ z
         for j, change in enumerate(along.steps.get(k, ())):
             kicks = driven(errors, ("load", j)).ticks
@@ -175,7 +181,9 @@ def test_with_jitter_a_step_counts_from_a_tick_that_comes_after_it_in_any_case(t
     ticks = list[list[int]]()
     for at in (1.9, 1.9995, 2.0, 2.0005):
         text = ONE.replace("LOADS", "{push: {into: {v: 1}}}").replace("ACTS", f"v: {{step: {{size: 2, at: {at}}}}}")
-        text = text.replace("{sample_time: TICK, delay: DELAY}", "{sample_time: {nominal: 0.1, jitter: 0.002}}")
+        text = text.replace("BEGINS", "{}").replace(
+            "{sample_time: TICK, delay: DELAY}", "{sample_time: {nominal: 0.1, jitter: 0.002}}"
+        )
         spec, controller = designed(text.replace("TICK", "0.1"), tmp_path)
         ticks.append([*along_of(spec, controller, controller.claim(SampledBounds).errors).steps])
         run = simulate(spec, controller)
@@ -185,7 +193,12 @@ def test_with_jitter_a_step_counts_from_a_tick_that_comes_after_it_in_any_case(t
 
 def test_what_drifts_or_is_left_over_is_a_disturbance_from_0_on(tmp_path: Path) -> None:
     for acts in ("v: {step: {size: 1, at: 1, smooth: 0.5}}", "v: sin(t)", "z: {step: {size: 1, at: 1}}"):
-        text = ONE.replace("LOADS", "{push: {into: {v: 1}}}").replace("ACTS", acts).replace(", delay: DELAY", "")
+        text = (
+            ONE.replace("LOADS", "{push: {into: {v: 1}}}")
+            .replace("ACTS", acts)
+            .replace(", delay: DELAY", "")
+            .replace("BEGINS", "{}")
+        )
         spec, controller = designed(text.replace("TICK", "0.1"), tmp_path)
         along = along_of(spec, controller, controller.claim(SampledBounds).errors)
         assert not along.steps
@@ -195,7 +208,12 @@ def test_what_drifts_or_is_left_over_is_a_disturbance_from_0_on(tmp_path: Path) 
 def test_limits_leave_what_loads_that_step_take(tmp_path: Path) -> None:
     """u has −ŝ: a load of 2 that is there for half of the run takes 2 of the limits, and as it steps a little more."""
     text = ONE.replace("LOADS", "{push: {into: {v: 1}}}").replace("ACTS", "v: {step: {size: 2, at: 2}}")
-    text = text.replace(", delay: DELAY", "").replace("TICK", "0.1").replace("duration: 6", "duration: 30")
+    text = (
+        text.replace(", delay: DELAY", "")
+        .replace("BEGINS", "{}")
+        .replace("TICK", "0.1")
+        .replace("duration: 6", "duration: 30")
+    )
     spec, controller = designed(text, tmp_path)
     bounds = controller.claim(SampledBounds)
     (most,), (changes,) = bounds.taken([0], np.zeros((1, bounds.errors.order)))

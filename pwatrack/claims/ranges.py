@@ -10,19 +10,20 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array, up
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
-from pwatrack.control.sampled_disturbances import across
+from pwatrack.control.sampled_disturbances import numbers
 from pwatrack.control.words import Words, down
 
 _ROUNDED = 1e-11  # of a number: what a program that steps them for long rounds
-_SAID = ("y", "u", "x_hat")  # what a summary has; run.json has all
+_SAID = ("y", "u", "x_hat", "s_hat")  # what a summary has; run.json has all
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramRanges(Claim):
-    """Between what each number of the program is, from x = x̂ = x_d on, for all that acts in the run.
+    """Between what each number of the program is, for all that acts in the run.
 
     Attributes:
-        bounds: Of what acts.
+        bounds: Of what acts, and of the start of the run; where that is not known from x = x̂ = x_d on, as the first
+            input acts where inputs are late.
         steps: Of inputs, half of each, (m,).
     """
 
@@ -31,31 +32,38 @@ class ProgramRanges(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["ProgramRanges"]:
-        """Yield them where all that acts has a bound, no load is estimated, and no input waits at first."""
-        quanta = asked.words.conditions.quanta
+        """Yield them where all that acts has a bound; with loads if the start of the run is known."""
+        quanta, loads = asked.words.conditions.quanta, controller.plant.loads
         steps = np.zeros(controller.plant.B.shape[1]) if quanta is None else quanta.inputs / 2
-        for bounds in controller.claims_of(SampledBounds) if controller.plant.loads is None else ():
-            if bounds.from_zero and not bounds.errors.gains.delay:
+        for bounds in controller.claims_of(SampledBounds):
+            if bounds.from_start if loads is not None or bounds.errors.starts is not None else bounds.from_zero:
                 yield cls(bounds=bounds, steps=steps)
 
     @cached_property
     def ranges(self) -> dict[str, Array]:
-        """The least and the largest of y as measured, u as put out, x̂, x_d, u_ff, η̂ and w, (k, 2) each."""
-        bounds, errors = self.bounds, self.bounds.errors
-        (n, m, *_), C = errors.widths, errors.plant.C
-        of_y = np.hstack([C, np.zeros((len(C), errors.order - n))])
-        of_x_hat = bounds.off(np.concatenate(across(errors, np.eye(n)))).reshape(-1, n).max(axis=0)
-        off = {"y": bounds.off(of_y) + bounds.noise, "x_hat": of_x_hat}
-        off["u"] = bounds.off(np.eye(m, errors.order, n)) + self.steps
-        rounded = {name: _ROUNDED * np.abs(ends).max(axis=1) for name, ends in bounds.acts.along.items()}
-        each = {name: off.get(name, 0.0) * OVER_SUMS + least for name, least in rounded.items()}
-        return {name: ends + np.multiply.outer(each[name], [-1, 1]) for name, ends in bounds.acts.along.items()}
+        """The least and the largest of y as measured, u as put out, x̂, ŝ, x_d, u_ff, η̂ and w, (k, 2) each."""
+        of, squares, along = numbers(self.bounds.errors), self.bounds.acts.squares, self.bounds.acts.along
+        other = np.sqrt([squares.get(("cell", k), np.zeros(1)).max() for k in range(len(self.steps))])
+        beside = {"y": self.bounds.noise, "u": self.steps + other, "u_ff": other}
+        found = dict[str, Array]()
+        for name, ends in along.items():
+            off = sum((self._off(rows) for rows in of.get(name, ())), beside.get(name, 0.0)) * OVER_SUMS
+            each = off + _ROUNDED * np.abs(ends).max(axis=1)
+            found[name] = ends + np.multiply.outer(each, [-1, 1])
+        return found
+
+    def _off(self, rows: Array) -> Array:
+        """Return what rows (A, k, order) read off z at most, the largest of each A, (k,)."""
+        flat = np.concatenate(rows)
+        before = (np.abs(flat @ column.floats[:, 0]) for column in self.bounds.errors.starts or ())
+        most = np.maximum(self.bounds.off(flat, start=True), sum(before, np.zeros(len(flat))))
+        return np.asarray(most.reshape(rows.shape[:2]).max(axis=0))
 
     def named(self, words: Words, controller: ProvedController) -> Iterator[tuple[str, str, str, Array]]:
         """Yield of each number what it belongs to, its name, its unit and its ends, what is said first before."""
         plant, trajectory = controller.plant, controller.trajectory
         of = {"y": plant.outputs, "u": plant.inputs, "x_hat": plant.states, "x_d": plant.states, "u_ff": plant.inputs}
-        of["eta_hat"] = trajectory.names
+        of |= {"eta_hat": trajectory.names, "s_hat": () if plant.loads is None else plant.loads.states}
         for kind in (*_SAID, "x_d", "u_ff", "eta_hat", "w"):
             ends = self.ranges[kind]
             for k, (name, each) in enumerate(zip(of.get(kind, range(len(ends))), ends, strict=True)):
@@ -75,8 +83,10 @@ class ProgramRanges(Claim):
         said = list[str]()
         for kind, name, unit, (low, high) in self.named(words, controller):
             if kind in _SAID:
-                shown = f"{name}_hat" if kind == "x_hat" else f"{name} as measured" if kind == "y" else name
+                shown = {"y": f"{name} as measured", "u": name, "s_hat": f"estimate of {name}"}.get(kind, f"{name}_hat")
                 ends = f"{down(low)} to {up(high)} {unit}".rstrip()
                 said.append(f"{shown} {ends}")
-        of = f"in the program, from x = x̂ = x_d on, in this run{words.as_designed}{words.off_limits}"
+        begins = "its start" if self.bounds.errors.starts is not None else "x = x̂ = x_d"
+        begins += " as the first input acts" * (self.bounds.errors.gains.delay > 0)
+        of = f"in the program, in this run from {begins} on{words.as_designed}{words.off_limits}"
         yield "numbers", f"{of}: {'; '.join(said)}"

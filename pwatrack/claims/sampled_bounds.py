@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
-from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.exact_text import (
     decimal,
@@ -35,25 +35,22 @@ from pwatrack.claims.exact_text import (
 )
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
+from pwatrack.claims.sampled_start import from_start, of_this_start
+from pwatrack.claims.tube_search import TubeSearch
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
-from pwatrack.control.sampled_disturbances import Acting, across, driven, level, row, shifted
+from pwatrack.control.sampled_disturbances import Acting, across, level, shifted
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_search import work
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.clocked_tubes import Tube, TubeProgram, tube
-from pwatrack.lmi.exact import rounded_down
-from pwatrack.rational import floats
+from pwatrack.lmi.clocked_tubes import Tube
 
-_BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _ROUNDED = 1e-9  # of a time in ticks
 _MOST = 300_000  # work of one proof times tubes that are looked for: an auditor decides each, in 10 steps for each
 _CORNERS = 64  # of boxes of flows, up to which each is looked at for tubes: bounds are up to a half less then
 _END = 10  # the end of a run is a tenth of it
 _LOOKS = 30  # at where predictions may cross planes, at most
-_SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
-_MORE = (1.6, 2.0)  # times that, as long as bounds get less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +85,7 @@ class TubeBounds(Claim):
             ways = product((acts, few), (replace(errors, few=_CORNERS), errors))
             affordable = (way for way in ways if len([*way[0].squares, *way[0].means]) * work(way[1]) <= _MOST)
             for each, opened in islice(affordable, 1):
-                found = replace(found, tubes=_Search.of(controller, found.forms, opened, proof).tubes(each))
+                found = replace(found, tubes=TubeSearch.of(controller, found.forms, opened, proof).tubes(each))
             yield found
 
     @classmethod
@@ -97,10 +94,12 @@ class TubeBounds(Claim):
         for entry in content[cls.KEY]:
             channel = read_channel(entry["channel"])
             tubes[channel] = (*tubes.get(channel, ()), _read_tube(entry))
+        told = {read_channel(entry["channel"]): entry["start"] for entry in content[cls.KEY] if "start" in entry}
         for _, errors, acts in cls.known(controller, asked):
-            if not tubes.keys() <= acts.squares.keys():
+            known, errors = of_this_start(tubes, told, errors)
+            if not known.keys() <= acts.squares.keys():
                 raise ValueError("a tube is of something that does not act")
-            yield cls(errors=errors, acts=acts, tubes=tubes, forms=tuple(seen(controller)))
+            yield cls(errors=errors, acts=acts, tubes=known, forms=tuple(seen(controller)))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         entries = [
@@ -113,6 +112,7 @@ class TubeBounds(Claim):
                 "T": diagonals(one.T),
                 "signals": signals(zip(self.forms, one.sizes, strict=True)),
             }
+            | ({"start": self._starts[channel[1]].transpose().texts[0]} if channel[0] == "start" else {})
             for channel, each in self.tubes.items()
             for one in each
         ]
@@ -133,11 +133,19 @@ class TubeBounds(Claim):
     @cached_property
     def from_zero(self) -> dict[Form, Array]:
         """What each signal is at most in each substep, (K,), from error 0 on; nothing where something has no tube."""
+        return self._bounded(start=False)
+
+    @cached_property
+    def from_start(self) -> dict[Form, Array]:
+        """The same from the start of the run on; nothing where that is not known, or has no tube."""
+        return {} if self.errors.starts is None else self._bounded(start=True)
+
+    def _bounded(self, *, start: bool) -> dict[Form, Array]:
         where = np.ones((2, len(self.acts.near)), dtype=bool)
         planes, of = self.acts.planes, self.errors
         rows = (self.acts.near, across(of, planes)), (self.acts.apart, shifted(of, planes))
         for _ in range(_LOOKS):
-            levels = self._levels(where)
+            levels = self._levels(where, start=start)
             near = np.array([(least <= self._off(levels, each)).any(axis=1) for least, each in rows])
             if (near >= where).all():
                 break
@@ -152,7 +160,8 @@ class TubeBounds(Claim):
     @property
     def idle(self) -> bool:
         """Whether nothing acts in the run."""
-        return not self.acts.squares and not any(each.any() for each in self.acts.beside.values())
+        acts = any(kind != "start" for kind, _ in self.acts.squares)
+        return not acts and not any(each.any() for each in self.acts.beside.values())
 
     @property
     def noise(self) -> Array:
@@ -173,25 +182,39 @@ class TubeBounds(Claim):
         beside = [self.acts.beside.get(("input", k), np.zeros(1)).max() for k in inputs]
         return (most + beside) * OVER_SUMS, (2 * most + self.acts.changes[list(inputs)]) * OVER_SUMS
 
-    def off(self, rows: Array) -> Array:
-        """Return what all that acts makes of other rows of z at most, (s,), from error 0 on, for any switching."""
-        return np.asarray(self._sum(self._everywhere, len(rows), lambda one: one.spread(rows)).max(axis=0))
+    def off(self, rows: Array, *, start: bool = False) -> Array:
+        """Return what all that acts makes of other rows of z at most, (s,), for any switching.
+
+        That is from error 0 on, or from the start of the run.
+        """
+        levels = self._levels(np.ones((2, len(self.acts.near))), start=True) if start else self._everywhere
+        return np.asarray(self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0))
+
+    @property
+    def _starts(self) -> Sequence[BallMatrix]:
+        return self.errors.starts or ()
 
     @cached_property
-    def _everywhere(self) -> dict[Channel, list[Array]]:
-        """V^½ of each tube in each substep, where predictions may cross planes at any time."""
+    def _everywhere(self) -> dict[Channel, list[Array]] | None:
+        """V^½ of each tube in each substep, where predictions may cross planes at any time, from error 0 on."""
         return self._levels(np.ones((2, len(self.acts.near))))
 
-    def _levels(self, where: Array) -> dict[Channel, list[Array]]:
-        """Return V^½ of each tube in each substep, where predictions, and x_d by estimates, cross planes at most."""
+    def _levels(self, where: Array, *, start: bool = False) -> dict[Channel, list[Array]] | None:
+        """Return V^½ of each tube in each substep, where predictions, and x_d by estimates, cross planes at most.
+
+        None where something has no tube.
+        """
         found, gains = dict[Channel, list[Array]](), self.errors.gains
+        wanted = [channel for channel in self.acts.squares if start or channel[0] != "start"]
+        if not self.tubes.keys() >= set(wanted):
+            return None
         crossing = {"moved": where[0], "drawn": where[1], "cell": where[1], "eta": where[1]}
-        for channel, each in self.tubes.items():
+        for channel in wanted:
             acting = crossing.get(channel[0], 1.0)
-            found[channel] = [level(self.acts, channel, one, gains, acting) for one in each]
+            found[channel] = [level(self.acts, channel, one, gains, acting) for one in self.tubes[channel]]
         return found
 
-    def _off(self, levels: Mapping[Channel, Sequence[Array]], rows: Array) -> Array:
+    def _off(self, levels: Mapping[Channel, Sequence[Array]] | None, rows: Array) -> Array:
         """Return what some rows (A, P, order) read off z at most, the largest of each A, (K, P)."""
         if not len(rows):
             return np.full((len(self.acts.near), rows.shape[1]), -1.0)
@@ -199,17 +222,18 @@ class TubeBounds(Claim):
         each = self._sum(levels, len(flat), lambda one: one.spread(flat))
         return np.asarray(each.reshape(len(each), *rows.shape[:2]).max(axis=1))
 
-    def _total(self, levels: Mapping[Channel, Sequence[Array]]) -> dict[Form, Array]:
-        if levels.keys() != self.acts.squares.keys():
+    def _total(self, levels: Mapping[Channel, Sequence[Array]] | None) -> dict[Form, Array]:
+        if levels is None:
             return {}
         most = self._sum(levels, len(self.forms), lambda one: np.array(one.sizes))
         return {form: each + self.acts.beside.get(form, 0.0) for form, each in zip(self.forms, most.T, strict=True)}
 
-    def _sum(self, levels: Mapping[Channel, Sequence[Array]], count: int, sizes: Callable[[Tube], Array]) -> Array:
+    def _sum(
+        self, levels: Mapping[Channel, Sequence[Array]] | None, count: int, sizes: Callable[[Tube], Array]
+    ) -> Array:
         """Return what all channels leave of so many signals in each substep, (K, s); ∞ where one has no tube."""
-        known = levels.keys() == self.acts.squares.keys()
-        total = np.full((len(self.acts.near), count), 0.0 if known else np.inf)
-        for channel, each in levels.items():
+        total = np.full((len(self.acts.near), count), np.inf if levels is None else 0.0)
+        for channel, each in (levels or {}).items():
             left = (V[:, None] * sizes(one) for V, one in zip(each, self.tubes[channel], strict=True))
             total = total + reduce(np.minimum, left)
         return np.asarray(total * OVER_SUMS)
@@ -241,55 +265,64 @@ class TubeBounds(Claim):
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         ends = self.ends_below(controller)
-        acts = dict(zip(self.acts.squares, self._named(words, controller), strict=True))
+        acts = self._acting(words, controller)
+        never = {form: _above(float(each.max())) for form, each in self.from_start.items()}
         return {
             self.KEY: {
-                "acts": {name: {"at_most": size, "unit": unit} for (name, unit), size in acts.values()},
+                "acts": {name: {"at_most": size, "unit": unit} for name, size, unit in acts.values()},
                 "per_1": {
-                    acts[channel][0][0]: {
+                    acts[channel][0]: {
                         words.signal(form)[0]: size for form, size in zip(self.forms, one.sizes, strict=True)
                     }
                     for channel, (one, *_) in self.tubes.items()
+                    if channel in acts
                 },
-                "ends_below": {
-                    name: {"bound": size, "unit": unit}
-                    for (name, unit), size in ((words.signal(form), size) for form, size in ends.items())
+                **{
+                    key: {
+                        name: {"bound": size, "unit": unit}
+                        for (name, unit), size in ((words.signal(form), size) for form, size in sizes.items())
+                    }
+                    for key, sizes in (("ends_below", ends), ("never_above", never))
                 },
             }
         }
 
-    def _named(self, words: Words, controller: ProvedController) -> Iterator[tuple[tuple[str, str], float]]:
-        """Yield what acts in words, with its unit, and its size."""
-        plant, units = words.plant, words.units
-        merged = [merge for claim in controller.claims_of(Practical) for merge in claim.merges]
-        for (kind, k), squares in self.acts.squares.items():
-            size = _above(float(np.sqrt(squares.max())))
-            if kind == "input":
-                yield (f"steps of {plant.inputs[k]}", units.get(plant.inputs[k], "")), size
-            elif kind == "drawn":
+    def _acting(self, words: Words, controller: ProvedController) -> dict[Channel, tuple[str, float, str]]:
+        """Return what acts, but for a start: in words, its size, and its unit."""
+        found = dict[Channel, tuple[str, float, str]]()
+        for channel, squares in self.acts.squares.items():
+            if channel[0] != "start":
+                name, unit = self._named(channel, words, controller)
+                found[channel] = name, _above(float(np.sqrt(squares.max()))), unit
+        return found
+
+    def _named(self, channel: Channel, words: Words, controller: ProvedController) -> tuple[str, str]:
+        """Return what a channel is in words, and its unit."""
+        plant, units, (kind, k) = words.plant, words.units, channel
+        match kind:
+            case "input":
+                return f"steps of {plant.inputs[k]}", units.get(plant.inputs[k], "")
+            case "drawn":
                 name, unit = words.cause(("disturbance", k))[1:]
-                yield (f"{name} from x_d moving in a sample", unit), size
-            elif kind == "cell":
-                yield (f"u_ff of another cell on {plant.inputs[k]}", units.get(plant.inputs[k], "")), size
-            elif kind == "eta":
+                return f"{name} from x_d moving in a sample", unit
+            case "cell":
+                return f"u_ff of another cell on {plant.inputs[k]}", units.get(plant.inputs[k], "")
+            case "eta":
                 assert controller.form is not None
-                yield (f"{controller.form.eta_names[k]} stepped in another cell", ""), size
-            elif kind == "load":
+                return f"{controller.form.eta_names[k]} stepped in another cell", ""
+            case "load":
                 assert plant.loads is not None
-                at = next(j for j, group in enumerate(plant.loads.groups) if k in group)
-                name, later = plant.loads.names[at], ", a quarter of a period on" * (k != plant.loads.where[at])
-                yield (f"steps of {name}{later}", words.units.get(name, "")), size
-            elif kind == "deviation":
-                yield (f"what is merged of {merged[k].nonlinearity.name}", ""), size
-            elif kind in ("moved", "nominal"):
+                return f"steps of {plant.loads.states[k]}", units.get(plant.loads.states[k], "")
+            case "deviation":
+                merged = [merge for claim in controller.claims_of(Practical) for merge in claim.merges]
+                return f"what is merged of {merged[k].nonlinearity.name}", ""
+            case "moved" | "nominal":
                 of = self.errors.followed if kind == "nominal" else self.errors.R
-                rows = zip(of.texts[k], plant.states, strict=True)
-                entries = [(v, name) for v, name in rows if v != "0"]
+                entries = [(v, name) for v, name in zip(of.texts[k], plant.states, strict=True) if v != "0"]
                 terms = " + ".join(name if v == "1" else f"({v}) {name}" for v, name in entries)
                 said = "moving in a substep" if kind == "moved" else "off its reference in the mean cell"
-                yield (f"{terms} {said}", units.get(entries[0][1], "")), size
-            else:
-                yield words.cause((kind, k))[1:], size
+                return f"{terms} {said}", units.get(entries[0][1], "")
+        return words.cause(channel)[1:]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -301,18 +334,19 @@ class SampledBounds(TubeBounds):
         "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
         "at ticks, of the steps of u and of what a program in another cell puts out, beside nu, and makes of eta_hat, "
         "at ticks, of what a load steps by just before a tick, which s_hat - s loses, as x - x_d does what x_d moves "
-        "by, of what drives x - x_d alone as x_d moves in a sample, of what R x_nom moves in a substep, beside every "
-        "rho, and of R (x_nom - x_d), which acts by F less F of the mean of the A_i that have all others in their "
-        "hull; where x_d depends on loads, eta_hat is held against that of the program with the true ones. x_nom is x "
-        "in the loop of that mean, from x_d on, without noise, and z here is less what it is there. With Q linear in "
-        "time between the knots of each substep, q V of what it is beside, and g and h how it acts between ticks, at "
-        "the middle of a box, and at ticks, c Q c^T <= size^2 at all knots, -(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + "
-        "a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r r^T / (a - q^T T_e^-1 q) < 0 with r = g + Q_e V^T T_e^-1 q at "
-        "both ends e of each segment, J Q_N J^T / (1 - b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends "
-        "of substeps: so z^T Q^-1 z is at most a mean of d^2, with weights that fall as e^(-a t), or by 1 - b at "
-        "ticks. With summed, in place of the terms with r and h, g g^T < Q_e at all knots, for g at all corners, or h "
-        "h^T < Q_0: so the root of z^T Q^-1 z is at most the integral of |d|, with weights that fall as e^(-a t / 2), "
-        "or the sum, with weights that fall by the root of 1 - b."
+        "by, of a start, what it tells of z before the first tick, of what drives x - x_d alone as x_d moves in a "
+        "sample, of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F "
+        "of the mean of the A_i that have all others in their hull; where x_d depends on loads, eta_hat is held "
+        "against that of the program with the true ones. x_nom is x in the loop of that mean, from x_d on, without "
+        "noise, and z here is less what it is there. With Q linear in time between the knots of each substep, q V of "
+        "what it is beside, and g and h how it acts between ticks, at the middle of a box, and at ticks, c Q c^T <= "
+        "size^2 at all knots, -(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r "
+        "r^T / (a - q^T T_e^-1 q) < 0 with r = g + Q_e V^T T_e^-1 q at both ends e of each segment, J Q_N J^T / (1 - "
+        "b) + h h^T / b < Q_0 at ticks, and J Q_N J^T < Q_0 at the ends of substeps: so z^T Q^-1 z is at most a mean "
+        "of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of the terms with r "
+        "and h, g g^T < Q_e at all knots, for g at all corners, or h h^T < Q_0: so the root of z^T Q^-1 z is at most "
+        "the integral of |d|, with weights that fall as e^(-a t / 2), or the sum, with weights that fall by the root "
+        "of 1 - b."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
     KEY: ClassVar[str] = "sampled_bounds"
@@ -326,22 +360,24 @@ class SampledBounds(TubeBounds):
                 errors = replace(errors_of(controller, loop.gains), deviations=deviations)
                 acts = asked.acting(controller, errors)
                 if acts is not None:
-                    yield loop.proof, errors, acts
+                    yield loop.proof, *from_start(controller, asked, errors, acts)
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        named = self._named(words, controller)
-        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in named)
+        each = self._acting(words, controller).values()
+        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for name, size, unit in each)
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
         off = words.as_designed + words.off_limits
         if self.idle:
             said = "nothing acts on the sampled loop: its errors go to 0, but for rounding"
             yield "in this run", said + off
         elif ends:
-            always = words.limits(shown({form: float(each.max()) for form, each in self.from_zero.items()}))
+            most = self.from_start or self.from_zero
+            always = words.limits(shown({form: float(each.max()) for form, each in most.items()}))
+            begins = "from the start of this run on" if self.from_start else "from x = x̂ = x_d on"
             said = f"{ends} in the end in the sampled loop, for any switching, between ticks too"
             yield "in this run", f"{said}, beside what is left of the start{off}"
             if not self.errors.gains.delay:
-                yield "", f"from x = x̂ = x_d on never more than {', '.join(always)}"
+                yield "", f"{begins} never more than {', '.join(always)}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
             yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
@@ -366,68 +402,6 @@ def seen(controller: ProvedController) -> Iterator[Form]:
     if controller.compensation.alone:
         yield from (("input", k) for k in range(m))
     yield from (("estimate", k) for k in range(n))
-
-
-@dataclass(kw_only=True)
-class _Search:
-    """Looks for tubes: of the first with what it decays with best, of the others of its kind with the same."""
-
-    errors: SampledErrors
-    program: TubeProgram
-    forms: Sequence[Form]
-    weights: Array
-    shares: dict[bool, float] = field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls, controller: ProvedController, forms: Sequence[Form], errors: SampledErrors, proof: ClockedProof
-    ) -> "_Search":
-        system = errors.clocked
-        program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
-        return cls(errors=errors, program=program, forms=forms, weights=_weights(controller, forms))
-
-    def tubes(self, acts: Acting) -> dict[Channel, tuple[Tube, ...]]:
-        """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
-        found = dict[Channel, tuple[Tube, ...]]()
-        for channel in acts.squares:
-            ways = (True,) if channel[0] == "load" else (False, True)[: 1 + (channel in acts.means)]
-            each = (self._best(channel, summed) for summed in ways)
-            if tubes := tuple(one for one in each if one is not None):
-                found[channel] = tubes
-        return found
-
-    def _best(self, channel: Channel, summed: bool) -> Tube | None:
-        known = self.shares.get(summed)
-        best = next(filter(None, (self._at(channel, one, summed) for one in (known, *_SHARES) if one)), None)
-        if best is None:
-            return None
-        share = best[1]
-        for factor in () if known else _MORE:
-            more = self._at(channel, factor * share, summed)
-            if more is None or more[0] > best[0]:
-                break
-            best = more
-        self.shares[summed] = best[1]
-        return best[2]
-
-    def _at(self, channel: Channel, share: float, summed: bool) -> tuple[float, float, Tube] | None:
-        rows, decay = (
-            above(*(row(self.errors, form) for form in self.forms)),
-            rounded_down(share * self.program.most, 3),
-        )
-        found = tube(self.program, driven(self.errors, channel), rows, self.weights, decay, summed=summed)
-        if found is None:
-            return None
-        ends = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good
-        return float(self.weights @ np.square(ends)), share, found
-
-
-def _weights(controller: ProvedController, forms: Sequence[Form]) -> Array:
-    """Return what the square of each signal counts: of what is tracked, in sizes, most."""
-    sizes = controller.sizes
-    of = {"output": sizes.tracked, "state": sizes.state, "input": sizes.input, "estimate": sizes.state}
-    each = ((1.0 if kind == controller.tracking else _BESIDE) / of[kind][k] ** 2 for kind, k in forms)
-    return np.array(list(each))
 
 
 def _above(size: float) -> float:

@@ -5,8 +5,8 @@ The program cuts its input off, holds it and predicts with it, so the observer's
 without limits, is taken off what the feedforward leaves of them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Literal
@@ -23,6 +23,7 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Form, Loops
 from pwatrack.control.controller import Asked, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
+from pwatrack.control.sampled_disturbances import beside_loads, drives
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
@@ -188,9 +189,8 @@ class _Search:
         """
         if self.loop.gains.delay:
             return [one for one in self.room.starts if one.kind == "exact"]
-        off, loads = self.off[:, self.off.any(axis=0)], self.loops.N - self.loops.n
-        own = ("exact", "sizes", "members")
-        return [one if one.kind in own else _more(one, off, loads) for one in self.room.starts]
+        own, loads = ("exact", "sizes", "members"), self.loops.N - self.loops.n
+        return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
 
     @property
     def every(self) -> Starts:
@@ -231,7 +231,7 @@ class _Search:
         errors, gains, inputs, (n, m, N, *_) = self.errors, self.loop.gains, self.room.inputs, self.errors.widths
         corrects = gains.M @ errors.plant.observed.C.floats / gains.sample_time
         own = [*range(n), *range(n + m, n + m + N)]
-        W = _beside(errors, tuple(range(m)))[:, n:]
+        W = beside_loads(errors, tuple(range(m)))[:, n:]
         D, B = np.hstack([gains.K, gains.K @ np.eye(n, N) + W[:, m : m + N]]), errors.plant.B
         seen = [A if errors.plant.loads is None else errors.plant.loads.observed(A) for A in errors.seen]
         pairs = [
@@ -264,7 +264,7 @@ class _Search:
         """Return the region of the largest multiple that is proved, of a few H."""
         left, (n, m, N, *_), ticks, best = self.told(()).left, self.errors.widths, self.ticks, None
         assert left is not None
-        before, own, inputs = self._before(starts), [*range(n), *range(n + m, n + m + N)], len(self.room.inputs)
+        before, own, inputs = self.errors.before(starts), [*range(n), *range(n + m, n + m + N)], len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
         if self.loop.gains.delay:  # an input is made of the oldest prediction
             oldest = n + m + (self.errors.predicted - 1) * N
@@ -297,7 +297,7 @@ class _Search:
             held=held,
             loads=loads + (0.0,) * (len(self.limited) - len(inputs)),
             forms=forms,
-            before=self._before(starts),
+            before=self.errors.before(starts),
         )
 
     def behind(self, entry: Any) -> list[Any]:
@@ -306,42 +306,10 @@ class _Search:
         own = next((one for one in self.starts if one.kind == entry["of"]), None)
         return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
 
-    def _before(self, starts: Starts) -> Array:
-        """Return G of z before the first tick, (order, k)."""
-        (n, m, *_), k = self.errors.widths, starts.e.shape[1]
-        delta, load = (np.zeros((0, k)) if X is None else X for X in (starts.delta, starts.load))
-        behind = np.zeros((self.errors.order - n - m - len(delta) - len(load), k))
-        return np.vstack([starts.e, np.zeros((m, k)), delta, load, behind])
-
-
-def drives(errors: SampledErrors, inputs: Sequence[int]) -> Array:
-    """Return the rows on z that read u − u_ff of some inputs, and what is taken off for loads, (inputs, order)."""
-    rows = np.zeros((len(inputs), errors.order)) if errors.gains.delay else _beside(errors, inputs)
-    rows[range(len(inputs)), [len(errors.plant.B) + k for k in inputs]] = 1.0
-    return rows
-
-
-def _beside(errors: SampledErrors, inputs: Sequence[int]) -> Array:
-    """Return what is taken off ν for loads, where it is not in ν: see `sampled_error`."""
-    (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
-    for place, at in enumerate((loads and loads.inputs(errors.plant.exact.B)) or ()):
-        rows[[j for j, k in enumerate(inputs) if k == at], n + m + n + place] = -1.0
-    return rows
-
 
 def _beyond(controller: ProvedController, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
     return nothing_left(room) or "x_d depends on estimates of loads" * (on_estimates(controller) is not None)
-
-
-def _more(starts: Starts, off: Array, loads: int) -> Starts:
-    """Return starts with x̂ − x by so much more, whatever its sign, of a plant with so many states of loads."""
-    if not off.size:
-        return starts
-    e, wider = starts.e, ((0, 0), (0, off.shape[1]))
-    delta = np.hstack([np.zeros_like(e) if starts.delta is None else starts.delta, off])
-    load = np.zeros((loads, e.shape[1])) if starts.load is None else starts.load
-    return replace(starts, e=np.pad(e, wider), delta=delta, load=np.pad(load, wider) if loads else None)
 
 
 def _read(entry: Any) -> ClockedRegion:

@@ -18,7 +18,7 @@ from pwatrack.control.compensation import Compensation, compensation
 from pwatrack.control.demand import Demand
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
-from pwatrack.control.headroom import Headroom, SignalRoom
+from pwatrack.control.headroom import Headroom, SignalRoom, Starts
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
@@ -51,6 +51,7 @@ class Asked:
     changes: Array | None = None  # by how much inputs may change in a sample, (m,), infinite where by any
     measured: Array | None = None  # X of x̂(0) = X y, (n, q), where the observer starts from what is measured
     acting: "Callable[[ProvedController, SampledErrors], Acting | None] | None" = None  # in the run
+    begins: "Callable[[ProvedController], Starts | None] | None" = None  # with which errors the run does, if known
 
 
 @dataclass(frozen=True, kw_only=True)

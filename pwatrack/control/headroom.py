@@ -96,6 +96,16 @@ class Starts:
         """The starts as their loop has them, (n, k), (2 n, k) or (2 n + p, k)."""
         return np.vstack([rows for rows in (self.e, self.delta, self.load) if rows is not None])
 
+    def with_more(self, off: Array, loads: int) -> "Starts":
+        """Return them with x̂ − x by so much more, (n, q), of any sign, of a plant with so many states of loads."""
+        off = off[:, off.any(axis=0)]
+        if not off.size:
+            return self
+        e, wider = self.e, ((0, 0), (0, off.shape[1]))
+        delta = np.hstack([np.zeros_like(e) if self.delta is None else self.delta, off])
+        load = np.zeros((loads, e.shape[1])) if self.load is None else self.load
+        return replace(self, e=np.pad(e, wider), delta=delta, load=np.pad(load, wider) if loads else None)
+
     @classmethod
     def within(cls, sizes: Sizes) -> tuple["Starts", "Starts"]:
         """Return the starts within sizes, with the right x̂, and with another one and loads."""

@@ -17,6 +17,7 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("drawn", k)         d in e_k' alone, so that ρ' has R ε_k d
     ("cell", k)          d on the k-th input as it is put out, as ("input", k) is
     ("eta", k)           d on the k-th entry of δ at a tick
+    ("start", k)         d times what z may be before the first tick of a run
     ("load", k)          d on the k-th entry of s just before a tick: (e, σ_i) − (X ε_k, ε_k) d, then the tick
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
@@ -32,8 +33,9 @@ which both are on one side of every plane. "drawn", "cell" and "eta" are of esti
 "load" is of loads that step, see `simulation.loads_along`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
@@ -45,6 +47,9 @@ from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.clocked_tubes import Drive, Tube
 from pwatrack.rational import identity, pivots
+from pwatrack.real import Real
+
+ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +66,7 @@ class Acting:
         loads: How large those get that step, and are constants in between, (k,); 0 of others.
         changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
         along: Between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held;
-            x_d, u_ff, eta_hat and w at ticks.
+            x_d, u_ff, eta_hat and w at ticks; s_hat. Of loads at inputs u and u_ff have what these take off.
     """
 
     squares: Mapping[Channel, Array]
@@ -121,6 +126,9 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
     if kind == "eta":
         kick = _unit(order, order - errors.more[-1] + k)
         return Drive(held=nothing, between=nothing, ticks=[kick] * len(errors.ticks))
+    if kind == "start":
+        assert errors.starts is not None
+        return Drive(held=nothing, between=nothing, ticks=[J @ errors.starts[k] for J in errors.ticks])
     if kind == "load":
         own, X = _unit(N, n + k), zero(n, 1) if errors.estimates is None else errors.estimates.X.part(range(n), [k])
         step = above(X, zero(m, 1), *d * [own], zero(order - first, 1))
@@ -169,6 +177,48 @@ def shifted(errors: SampledErrors, H: Array) -> Array:
         at = errors.order - sum(errors.more)
         each[:, at : at + D_j.shape[1]] = H @ D_j
     return rows
+
+
+def drives(errors: SampledErrors, inputs: Sequence[int]) -> Array:
+    """Return the rows on z that read u − u_ff of some inputs, and what is taken off for loads, (inputs, order)."""
+    rows = np.zeros((len(inputs), errors.order)) if errors.gains.delay else beside_loads(errors, inputs)
+    rows[range(len(inputs)), [len(errors.plant.B) + k for k in inputs]] = 1.0
+    return rows
+
+
+def beside_loads(errors: SampledErrors, inputs: Sequence[int]) -> Array:
+    """Return what is taken off ν for loads, where it is not in ν: see `sampled_error`."""
+    (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
+    for place, at in enumerate((loads and loads.inputs(errors.plant.exact.B)) or ()):
+        rows[[j for j, k in enumerate(inputs) if k == at], n + m + n + place] = -1.0
+    return rows
+
+
+def numbers(errors: SampledErrors) -> dict[str, list[Array]]:
+    """Return rows that read off z how far numbers of a program are off what they are along x_d + e₀, (A, k, order).
+
+    Any of the A may be; where there are several such rows, what they read adds up. Loads are the true ones along x_d.
+    """
+    (n, m, N, *_), order, of = errors.widths, errors.order, errors.estimates
+    every, p = range(m), N - n
+    found = {"y": [np.hstack([errors.plant.C, np.zeros((len(errors.plant.C), order - n))])[None]]}
+    found |= {"x_hat": [across(errors, np.eye(n))], "u": [drives(errors, every)[None]]}
+    if p:
+        found["s_hat"] = [np.array([np.eye(p, order, n + m + i * N + n) for i in range(errors.predicted)])]
+        found["u_ff"] = [beside_loads(errors, every)[None]]
+    if of is None:
+        return found
+    at, push, h = order - sum(errors.more), np.linalg.pinv(errors.plant.B), Real.of(errors.gains.sample_time).centre
+
+    def of_estimates(rows: list[Array]) -> Array:
+        return np.pad(rows, ((0, 0), (0, 0), (at, order - at - of.order)))
+
+    tick = of_estimates([push @ (c - A @ D).floats for A, (c, D) in product(errors.cells, of.moves)])
+    held = of_estimates([more.floats for _, more, _ in of.vertices(h)])
+    found |= {"x_d": [shifted(errors, np.eye(n))], "u": [np.eye(m, order, n)[None], tick], "u_ff": [tick, held]}
+    last = np.arange(of.eta)
+    eta = np.eye(order)[[at + of.loads + last, order - of.eta + last]]
+    return found | {"eta_hat": [eta]} if of.eta else found
 
 
 def _unit(size: int, k: int) -> BallMatrix:

@@ -50,8 +50,10 @@ from math import prod
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, zero
 from pwatrack.control.estimated_loads import OnEstimates
+from pwatrack.control.headroom import Starts
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.vertices import Box, boxes, differences, factors, held_rows, outermost, outermost_cells
 from pwatrack.lmi.clocked import Clocked
@@ -75,6 +77,8 @@ class SampledErrors:
         deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
             at most.
         estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
+        starts: Columns z, (order, 1), of which what z is before the first tick of a run is a mean, of any sign; None
+            where that is not known.
         corners: Matrices of plants that may run in place of it, they and their means; none where it runs itself.
         sizes: Of the signals of the plant, in which forms are looked for; None where those of no file are known.
         few: Corners of boxes of flows, up to which each is looked at: what is found is a little better then.
@@ -89,6 +93,7 @@ class SampledErrors:
     deviations: Sequence[tuple[BallMatrix, float]] = ()
     estimates: OnEstimates | None = None
     corners: Sequence[Matrices] = ()
+    starts: Sequence[BallMatrix] | None = None
     sizes: Sizes | None = None
     few: int = 16
 
@@ -132,6 +137,14 @@ class SampledErrors:
     def more(self) -> tuple[int, ...]:
         """How many entries ε and δ have."""
         return () if self.estimates is None else (self.estimates.order, self.estimates.eta)
+
+    def before(self, starts: Starts) -> Array:
+        """Return G of z before the first tick, (order, k), of errors from an x_d without loads on."""
+        (n, m, *_), k = self.widths, starts.e.shape[1]
+        delta, load = (np.zeros((0, k)) if X is None else X for X in (starts.delta, starts.load))
+        e = starts.e if self.estimates is None or not len(load) else starts.e + self.estimates.X.floats @ load
+        behind = np.zeros((self.order - n - m - len(delta) - len(load), k))
+        return np.vstack([e, np.zeros((m, k)), delta, load, behind])
 
     @property
     def parts(self) -> int:

@@ -67,6 +67,12 @@ class Loads:
         return tuple(load.name for load in self.each)
 
     @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the entries of s: of a sinusoid the load, and what it is a quarter of a period later."""
+        each = ((load.name, f"{load.name} a quarter on")[: load.order] for load in self.each)
+        return tuple(name for names in each for name in names)
+
+    @property
     def where(self) -> tuple[int, ...]:
         """Which entry of s each load is."""
         return tuple(np.cumsum([0, *(load.order for load in self.each)])[:-1].tolist())

@@ -14,7 +14,7 @@ which is walked too. What is held, and R (x_d + e₀) as it was at the last subs
 Bernstein coefficients enclose the differences, and what the integrals of their squares are.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import ceil
 
@@ -26,13 +26,13 @@ from pwatrack.arrays import OVER_POWERS, Array, IntArray
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
-from pwatrack.control.sampled_disturbances import Acting
+from pwatrack.control.sampled_disturbances import ROUNDING, Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.vertices import Differences
 from pwatrack.errors import CheckFailed, Undecided
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
-from pwatrack.simulation.acting_estimates import ROUNDING, OtherCells, crossed
+from pwatrack.simulation.acting_estimates import OtherCells, crossed
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import along, desired_flow
@@ -85,7 +85,18 @@ def acting(
             beside["input", k] = beside["input", k] + steps
     idle = {("nominal", k) for k in range(errors.followed.shape[0])} - {("nominal", k) for k in errors.differing}
     acts = {channel: each for channel, each in squares.items() if each.any() and channel not in idle}
-    return replace(found, squares=acts, beside=beside)
+    return replace(found, squares=acts, beside=beside, along=_with_loads(found.along, errors, loads))
+
+
+def _with_loads(along: Mapping[str, Array], errors: SampledErrors, loads: LoadsAlong) -> dict[str, Array]:
+    """Return between what numbers are along x_d, with what estimates of the true loads are, and take off inputs."""
+    found = {**along, "s_hat": loads.ends}
+    if errors.estimates is None:
+        for k, at in enumerate((errors.plant.loads and errors.plant.loads.inputs(errors.plant.exact.B)) or ()):
+            for name in ("u", "u_ff"):
+                found[name] = found[name].copy()
+                found[name][at] -= loads.ends[k, ::-1]
+    return found
 
 
 def _outside(

@@ -20,12 +20,12 @@ from pwatrack.arrays import OVER_SUMS, Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import flows, means, on_estimates
+from pwatrack.control.sampled_disturbances import ROUNDING
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.vertices import Box, differences, factors
 from pwatrack.rational import pivots, rational
 from pwatrack.simulation.controller_arrays import cell
 
-ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
 _ON_FACET = 1e-12  # of its terms: a form of y that is nearer to 0 may have either sign
 
 

@@ -87,6 +87,16 @@ class LoadsAlong:
             s = turn @ s + self.steps.get(tick, 0.0)
 
     @property
+    def ends(self) -> Array:
+        """Between what each is, (k, 2): of an oscillating one its amplitude."""
+        ticks = range(max(self.steps, default=0) + 1)
+        s = np.array([s for tick, s in zip(ticks, self.ticks, strict=False) if not tick or tick in self.steps])
+        other = s @ (self.S != 0).T  # d' = ω a: of one that does not oscillate it is 0
+        size = np.where(self.S.any(axis=1), np.hypot(s, other), np.nan)
+        low, high = np.where(np.isnan(size), s, -size), np.where(np.isnan(size), s, size)
+        return np.column_stack([low.min(axis=0), high.max(axis=0)])
+
+    @property
     def largest(self) -> Array:
         """How large each gets, of loads that step and are constants in between, (k,); 0 of others."""
         s = np.cumsum([np.zeros(len(self.S)), *self.steps.values()], axis=0)

@@ -12,7 +12,7 @@ from pwatrack.claims.registry import proved
 from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.demand import Demand
 from pwatrack.control.goal import Given
-from pwatrack.control.headroom import Headroom, InputConstraint
+from pwatrack.control.headroom import Headroom, InputConstraint, Starts
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
@@ -46,6 +46,7 @@ from pwatrack.workflow.tracking import (
     plant_start,
     start_fixed,
     start_given_twice,
+    starts_of,
     starts_periodic,
 )
 
@@ -113,6 +114,7 @@ def asked_of(
         ),
         changes=None if sampling is None or rates is None else rates * sampling.sample_time,
         acting=lambda proved, errors: _acting(spec, proved, errors),
+        begins=lambda proved: _begins(spec, proved),
     )
 
 
@@ -122,6 +124,17 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
     with suppress(PwatrackError):  # a start that is refused is so where it runs
         return acting(controller, conditions, errors, _generator_start(spec, controller)[0], duration)
     return None
+
+
+def _begins(spec: Spec, controller: ProvedController) -> Starts | None:
+    """Return the errors with which the run begins; None where it is not known where its generator does."""
+    trajectory, found = controller.trajectory, None
+    with suppress(PwatrackError):
+        eta, steady = _generator_start(spec, controller)
+        fixed = trajectory.eta0 is not None or (steady is not None and starts_periodic(spec))
+        x = plant_start(spec, trajectory, controller.generator, eta if fixed else None)
+        found = next(iter(starts_of(spec, trajectory, x, eta, controller.sizes)), None)
+    return found
 
 
 def _with_gains(

@@ -13,7 +13,8 @@ from .reading import distinct, number, place
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
-TUBES = [{"channel": CHANNEL, "Q": [PACKED], "T": ROWS, "signals": SIGNALS, "summed": WHOLE} | of(NUMBER, "a b")]
+TUBE = {"channel": CHANNEL, "Q": [PACKED], "T": ROWS, "signals": SIGNALS, "summed": WHOLE, "start?": [NUMBER]}
+TUBES = [TUBE | of(NUMBER, "a b")]
 SHAPE = {"sampled_bounds": TUBES}
 
 
@@ -52,13 +53,13 @@ class Tubes:
         errors, a, b = self.errors, number(entry["a"]), number(entry["b"])
         runs = runs_of(errors, entry["Q"], entry["T"], "the tube of the sampled loop is not that of its knots")
         forms, summed = [knot[:2] for knot in chain(*runs)], entry["summed"] == 1
-        ticks = entry["channel"][0] in ("noise", "eta", "load")
+        ticks = entry["channel"][0] in ("noise", "eta", "load", "start")
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
         if entry["summed"] not in (0, 1):
             raise AuditFault("what is summed is 1 or 0")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
-        held, between, kicks = self.drive(entry["channel"])
+        held, between, kicks = self.drive(entry["channel"], entry.get("start"))
         (last, powers), (first, others) = forms[-1], forms[0]
         for tick, kick in zip(errors.ticks, kicks, strict=True):
             inside = less_square(first, others, kick, 1 / b) if ticks and not summed else first
@@ -102,9 +103,16 @@ class Tubes:
                 return False
         return True
 
-    def drive(self, channel: Any) -> tuple[Ball, Ball, list[Ball]]:
+    def drive(self, channel: Any, start: Any) -> tuple[Ball, Ball, list[Ball]]:
         """Return what 1 of a channel is beside z, adds to z', and to z at a tick, for each that there may be."""
         (kind, k), (n, m, N, q) = channel, self.sizes
+        if (kind == "start") != (start is not None):
+            raise AuditFault("a start is told of what is none, or not of one")
+        if kind == "start":
+            if len(start) != self.errors.order:
+                raise AuditFault("a start does not fit the sampled loop")
+            z = Ball([[number(v)] for v in start])
+            return zero(len(start), 1), zero(len(start), 1), [tick @ z for tick in self.errors.ticks]
         counts = dict.fromkeys(("disturbance", "drawn"), n) | dict.fromkeys(("input", "cell"), m)
         counts |= {"deviation": len(self.merged), "noise": len(self.errors.plant.C[0]), "moved": q, "load": N - n}
         counts |= {"nominal": len(self.errors.followed), "eta": self.errors.p}

@@ -1,0 +1,51 @@
+"""The start of a run as something that acts on the errors of a sampled loop, once."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.exact_text import CLOSE, doubles
+from pwatrack.control.bounds import Channel
+from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.sampled_disturbances import ROUNDING, Acting
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.lmi.clocked_tubes import Tube
+
+
+def from_start(
+    controller: ProvedController, asked: Asked, errors: SampledErrors, acts: Acting
+) -> tuple[SampledErrors, Acting]:
+    """Return them with the start of the run, where it is known and no input is late, as something more that acts."""
+    starts = None if asked.begins is None or errors.gains.delay else asked.begins(controller)
+    if starts is None:
+        return errors, acts
+    noise = np.sqrt([acts.squares.get(("noise", k), np.zeros(1)).max() for k in range(len(controller.plant.C))])
+    if asked.measured is not None:
+        starts = starts.with_more(asked.measured * noise, len(controller.L) - len(controller.plant.B))
+    columns = errors.before(starts)
+    sizes = np.abs(columns) / np.array(errors.clocked.sizes)[:, None]
+    columns = columns[:, (sizes > ROUNDING).any(axis=0)]
+    first = np.zeros(len(acts.near))
+    first[0] = 1.0
+    squares = dict(acts.squares) | {("start", k): first for k in range(columns.shape[1])}
+    starts_at = [BallMatrix.of(column[:, None], (errors.order, 1)) for column in columns.T]
+    return replace(errors, starts=starts_at), replace(acts, squares=squares)
+
+
+def of_this_start(
+    tubes: dict[Channel, tuple[Tube, ...]], told: Mapping[Channel, Any], errors: SampledErrors
+) -> tuple[dict[Channel, tuple[Tube, ...]], SampledErrors]:
+    """Return tubes and errors with the start that a certificate has; without tubes of it where the run has another."""
+    starts = errors.starts or ()
+    found = [np.array(doubles([told[channel]]))[0] for channel in sorted(told)]
+    own = [column.floats[:, 0] for column in starts]
+    same = len(own) == len(found) and all(
+        a.shape == b.shape and np.allclose(a, b, rtol=CLOSE, atol=CLOSE * np.abs(b).max())
+        for a, b in zip(found, own, strict=True)
+    )
+    if not same:
+        return {channel: each for channel, each in tubes.items() if channel[0] != "start"}, errors
+    return tubes, replace(errors, starts=[BallMatrix.of(z[:, None], (len(z), 1)) for z in found]) if found else errors
