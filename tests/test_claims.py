@@ -170,6 +170,8 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
     ):
         (tmp_path / name).mkdir()
         yield test_sampled_region.written(tmp_path / name, more=more, also=also)
+    (tmp_path / "leaning").mkdir()
+    yield test_sampled_region.leaning(tmp_path / "leaning")
     (tmp_path / "table").mkdir()
     yield test_sampled_box.written(tmp_path / "table", more="plant: {parameters: {m: 2.1}}")
     for name, told in TOLD.items():
