@@ -409,3 +409,33 @@ simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {f: [-1, 1], g: 
     found = scaled(region(path))
     assert 10 < found["exact"] < 1 / 0.5 / 0.1  # |x| < 2, whatever T is, within the proportions of the box
     assert found["sizes"] > 1
+
+
+@pytest.mark.parametrize("numbers", ["whole", "irrational"])
+def test_a_polynomial_is_of_the_matrices_that_an_auditor_counts(numbers: str, tmp_path: Path) -> None:
+    """Two saturations of one form have cells between others; of irrational numbers all that differ are counted."""
+    pi, two = "1", "kind: saturation, of: v, lower: -0.1, upper: 0.1, slope: 3"
+    if numbers == "irrational":
+        pi, two = "pi", "kind: piecewise_linear, of: z, breakpoints: [-0.1, 0, 0.1], slopes: [0, 3, 5, 0]"
+    text = f"""
+name: a mass with friction of two kinds
+system:
+  states: [z, v]
+  inputs: [F]
+  outputs: [y, w]
+  track: [y]
+  A: [[0, 1], [0, -{pi}]]
+  B: [[0], [1]]
+  C: [[1, 0], [0, 1]]
+  nonlinearities:
+    - {{name: one, kind: saturation, of: v, lower: -0.05, upper: 0.05, slope: 20*{pi}, into: {{v: -1}}}}
+    - {{name: two, {two}, into: {{v: -1}}}}
+reference: {{output: 0.1}}
+simulation: {{duration: 3, sample_time: 0.01, actuator: {{limits: {{F: [-10, 3]}}}}}}
+"""
+    path = tmp_path / "mass.yaml"
+    path.write_text(text, encoding="utf-8")
+    call("design", path, "--out", tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "certificate.json").read_text())
+    assert any("V" in entry for entry in content["regions"])
+    assert not audit(json.dumps(content))[1]

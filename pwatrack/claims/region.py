@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.ball_matrix import above, zero
+from pwatrack.ball_matrix import above, places, zero
 from pwatrack.claims.exact_text import decimal_texts, doubles, packed, proof_content, read_proof, whole
 from pwatrack.claims.limits import (
     NoSaturation,
@@ -27,6 +27,7 @@ from pwatrack.claims.limits import (
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
+from pwatrack.control.vertices import outermost
 from pwatrack.control.words import Words, down, matrix_text
 from pwatrack.lmi.polynomial import PolynomialProof
 from pwatrack.lmi.polynomial_region import AnyRegion, PolynomialRegion, region_around
@@ -200,7 +201,9 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
         if name not in loops.M or not known:
             continue
         loop = _saturated(loops, name, inputs)
-        tried = _largest(loops, loop, one, room) if loop.work <= MOST_WORK else None
+        balls = any(X.radius is not None for X in loop.M)  # a polynomial is asked of all different cells then
+        enough = 0.0 if balls and len(controller.plant.hull) < len(places(controller.plant.exact.A)) else np.inf
+        tried = _largest(loops, loop, one, room, enough) if loop.work <= MOST_WORK else None
         found += [tried] if tried is not None else []
     return tuple(found)
 
@@ -219,13 +222,16 @@ def _read(entry: Mapping[str, Any]) -> AnyRegion:
     return PolynomialRegion(proof=proof, H=H, **read_sizes(entry))
 
 
-def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom) -> StartGuarantee | None:
-    """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion."""
+def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom, enough: float) -> StartGuarantee | None:
+    """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion.
+
+    Where an ellipsoid holds enough times the starts no polynomial is looked for.
+    """
     left, inputs = room.spare, list(room.inputs)
     assert left is not None
     loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
     for _ in range(_TRIES if loads.any() else 1):
-        held = region_around(loop, starts.G, np.maximum(left[inputs] - share * loads, 0.0))
+        held = region_around(loop, starts.G, np.maximum(left[inputs] - share * loads, 0.0), enough=enough)
         if held is None:
             break
         found = _of(loops, starts, room, held)
@@ -250,7 +256,7 @@ def every(controller: ProvedController) -> Starts:
 
 def _saturated(loops: Loops, loop: Loop, inputs: tuple[int, ...]) -> SaturatedLoop:
     """Return a loop with the inputs that have limits."""
-    B = loops.B.part(range(loops.n), inputs)
+    B, M = loops.B.part(range(loops.n), inputs), outermost(loops.M[loop])  # of which an auditor counts the same
     if loop == "joint":
         B = above(B, zero(loops.N, len(inputs)))
-    return SaturatedLoop(M=loops.M[loop], B=B, D=drive_rows(loops, loop, inputs), inners=loops.inners[loop])
+    return SaturatedLoop(M=M, B=B, D=drive_rows(loops, loop, inputs), inners=loops.inners[loop])
