@@ -126,7 +126,7 @@ def test_what_drives_beside_a_state_is_what_that_state_drives() -> None:
 def test_no_switching_and_nothing_that_acts_is_above_a_tube(seed: int, sampled: tuple[Spec, ProvedController]) -> None:
     _, controller = sampled
     claim = the_bounds(controller)
-    assert {kind for kind, _ in claim.tubes} == {"disturbance", "noise", "input", "nominal", "moved"}
+    assert {kind for kind, _ in claim.tubes} == {"disturbance", "noise", "input", "nominal", "moved", "start"}
     assert [one.summed for one in claim.tubes["moved", 0]] == [False, True]
     for channel, each in claim.tubes.items():
         for one in each:
@@ -241,6 +241,7 @@ def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
     assert asked.acting is not None
     found = asked.acting(controller, the_bounds(controller).errors)
     assert found is not None
+    acts = replace(acts, squares={channel: each for channel, each in acts.squares.items() if channel[0] != "start"})
     assert (found.squares.keys(), found.beside.keys()) == (acts.squares.keys(), acts.beside.keys())
     pairs = [(found.squares[channel], each) for channel, each in acts.squares.items()]
     pairs += [(found.means[channel], each) for channel, each in acts.means.items()]
@@ -346,7 +347,9 @@ def test_bounds_where_ticks_come_early_and_late(tmp_path: Path) -> None:
         spec = load_spec(tmp_path / "plant.yaml")
         controller = design(spec)
         claim = the_bounds(controller)
-        assert {kind for kind, _ in claim.tubes} == {"nominal", "moved"} | ({"disturbance"} if jitter else set())
+        assert {kind for kind, _ in claim.tubes} - {"start"} == {"nominal", "moved"} | (
+            {"disturbance"} if jitter else set()
+        )
         assert not audit(json.dumps(design_certificate(spec, controller)))[1]
         ends.append(claim.ends_below(controller)["output", 0])
     assert ends[1] == pytest.approx(ends[0], rel=0.1)
@@ -363,7 +366,7 @@ def test_of_a_plant_with_one_cell_the_bound_is_what_the_run_shows(delay: int, tm
     spec = load_spec(tmp_path / "plant.yaml")
     controller = design(spec)
     claim = the_bounds(controller)
-    assert not claim.tubes
+    assert not {kind for kind, _ in claim.tubes} - {"start"}
     assert claim.ends_below(controller)["output", 0] == pytest.approx(simulate(spec, controller).final_error, rel=0.02)
     assert claim.ends_below(controller)["estimate", 0] == 0
 
@@ -508,7 +511,7 @@ def test_what_is_merged_acts_on_the_sampled_loop_as_large_as_it_is(merged: tuple
     _, controller = merged
     claim, (merge,) = the_bounds(controller), controller.claim(Practical).merges
     watched = controller.plant.watched is not None
-    assert set(claim.tubes) == {("deviation", 0)} | ({("moved", 0)} if watched else set())
+    assert set(claim.tubes) - {("start", 0)} == {("deviation", 0)} | ({("moved", 0)} if watched else set())
     assert np.sqrt(claim.acts.squares["deviation", 0]) == pytest.approx(float(merge.largest), rel=1e-12)
     drive, (n, m, N, *_) = driven(claim.errors, ("deviation", 0)), claim.errors.widths
     column = merge.column.floats[:, 0]
@@ -564,7 +567,7 @@ def test_what_is_merged_is_in_the_certificate_of_the_sampled_loop(merged: tuple[
     content = json.loads(json.dumps(design_certificate(spec, controller)))
     said, faults = audit(json.dumps(content))
     assert not faults
-    channels = len(the_bounds(controller).tubes)
+    channels = len({*the_bounds(controller).tubes} - {("start", 0)})
     assert f"the sampled loop: what {channels} disturbances, noises and inputs leave is proved" in said
     (told,) = SampledBounds.read(content, controller, asking(spec, controller, the_bounds(controller).errors.gains))
     assert told.data(controller) == the_bounds(controller).data(controller)
@@ -663,7 +666,7 @@ def test_a_slope_between_two_others_moves_the_mean_of_neither_half(
     of_stops: list[tuple[Spec, ProvedController]],
 ) -> None:
     spec, controller = of_stops[0]
-    assert len(the_bounds(controller).tubes) == 2
+    assert set(the_bounds(controller).tubes) == {("nominal", 0), ("moved", 0), ("start", 0)}
     assert audit(json.dumps(design_certificate(spec, controller)))[1] == []
 
 

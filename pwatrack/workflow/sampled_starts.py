@@ -15,10 +15,12 @@ from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.goal import AtLeast
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.sampled_gains import SampledGains
+from pwatrack.control.sampled_search import work
 from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import CONTROLLER
 
 _OVER = (8.0, 4.0, 2.0)  # times what is left of an input: what a gain may ask of it from the starts
+_MOST = 50_000  # what one of them may take to be proved: 15 s
 _PROVED = (SampledLoop, SampledBounds, SampledRegion)  # what has to be, to know the starts
 
 
@@ -32,7 +34,8 @@ def with_starts_inside(controller: ProvedController, asked: Asked) -> ProvedCont
     if share is None or share >= 1 or not isinstance(goal, AtLeast) or asked.sampled is None or asked.room is None:
         return controller
     within, first = asked.room.around(controller.sizes.state), controller.claim(SampledLoop).gains
-    if within is None or first.delay:
+    much = sum(work(one.errors) * (1 + len(one.acts.squares)) for one in controller.claims_of(SampledBounds))
+    if within is None or first.delay or much > _MOST:
         return controller
     best, whatever = first, goal.within == "region"
     for gains in _sought(controller, within, asked.sampled):
