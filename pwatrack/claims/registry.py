@@ -1,6 +1,6 @@
 """The claims that there are, in the order in which they are proved and said. Nothing else lists them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -64,6 +64,16 @@ def proved(controller: ProvedController, asked: Asked) -> ProvedController:
     for kind in CLAIMS:
         controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
     return controller
+
+
+def again(controller: ProvedController, asked: Asked, kinds: Collection[type[Claim]]) -> ProvedController:
+    """Return a controller with claims of some kinds proved anew, for what is asked now, and all others as they are."""
+    kept = tuple(claim for claim in controller.claims if type(claim) not in kinds)
+    found = replace(controller, claims=kept)
+    for kind in CLAIMS:
+        if kind in kinds:
+            found = replace(found, claims=(*found.claims, *kind.prove(found, asked)))
+    return replace(found, claims=tuple(sorted(found.claims, key=lambda claim: CLAIMS.index(type(claim)))))
 
 
 def read(content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> ProvedController:

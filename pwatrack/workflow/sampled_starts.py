@@ -6,9 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from pwatrack.claims.registry import proved
+from pwatrack.claims.ranges import ProgramRanges
+from pwatrack.claims.registry import again
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_box import SampledBox, SampledBoxBounds
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.candidates import Candidates
 from pwatrack.control.controller import Asked, ProvedController
@@ -21,7 +23,8 @@ from pwatrack.lmi.inequality import CONTROLLER
 
 _OVER = (8.0, 4.0, 2.0)  # times what is left of an input: what a gain may ask of it from the starts
 _MOST = 50_000  # what one of them may take to be proved: 15 s
-_PROVED = (SampledLoop, SampledBounds, SampledRegion)  # what has to be, to know the starts
+_STARTS = (SampledLoop, SampledBounds, SampledRegion)  # what has to be proved, to know the starts
+_OTHERS = (ProgramRanges, SampledBox, SampledBoxBounds)  # what else is about the program
 
 
 def with_starts_inside(controller: ProvedController, asked: Asked) -> ProvedController:
@@ -37,19 +40,17 @@ def with_starts_inside(controller: ProvedController, asked: Asked) -> ProvedCont
     much = sum(work(one.errors) * (1 + len(one.acts.squares)) for one in controller.claims_of(SampledBounds))
     if within is None or first.delay or much > _MOST:
         return controller
-    best, whatever = first, goal.within == "region"
+    best, whatever = controller, goal.within == "region"
     for gains in _sought(controller, within, asked.sampled):
         if not whatever and _norm(controller, gains) > _norm(controller, first):
             continue
-        more = _share(_only(controller, replace(asked, sampled=gains)))
-        if more is not None and more >= 1:
-            best = gains
+        tried = again(controller, replace(asked, sampled=gains), _STARTS)
+        more = _share(tried)
+        if more is not None and (more >= 1 or (whatever and more > share)):
+            best, share = tried, more
+        if share >= 1:
             break
-        if more is not None and whatever and more > share:
-            best, share = gains, more
-    if best is first:
-        return controller
-    return proved(replace(controller, claims=()), replace(asked, sampled=best))
+    return best if best is controller else again(best, asked, _OTHERS)
 
 
 def _sought(controller: ProvedController, within: InputConstraint, made: SampledGains) -> Iterator[SampledGains]:
@@ -60,14 +61,6 @@ def _sought(controller: ProvedController, within: InputConstraint, made: Sampled
         found = candidates.farthest_held(replace(within, starts=[starts], over=over), made.sample_time)
         if found is not None and np.isfinite(found.K).all():
             yield replace(made, K=found.K)
-
-
-def _only(controller: ProvedController, asked: Asked) -> ProvedController:
-    """Return what is proved of the sampled loop and its starts alone."""
-    controller = replace(controller, claims=tuple(one for one in controller.claims if not isinstance(one, _PROVED)))
-    for kind in _PROVED:
-        controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
-    return controller
 
 
 def _share(controller: ProvedController) -> float | None:
