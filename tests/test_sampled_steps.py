@@ -168,13 +168,10 @@ FORGED: dict[str, Callable[[Any], Any]] = {
 
 def test_the_auditor_agrees(loop: tuple[str, Spec, ProvedController, SampledBounds]) -> None:
     name, spec, controller, _ = loop
-    if name == "sinusoids":  # what is forged of these is found out in the same way, and takes longest
-        return
     content = json.loads(json.dumps(design_certificate(spec, controller)))
     assert not audit(json.dumps(content))[1]
-    (first, *_) = (tube for tube in content["sampled_bounds"] if tube["channel"][0] == "load")
-    for forge in FORGED.values():
-        forged = copy.deepcopy(first)
+    for forge in FORGED.values() if name == "bent" else ():  # of the others it takes long, and is found out likewise
+        forged = copy.deepcopy(next(tube for tube in content["sampled_bounds"] if tube["channel"][0] == "load"))
         forge(forged)
         assert audit(json.dumps(content | {"sampled_bounds": [forged]}))[1]
 
