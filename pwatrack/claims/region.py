@@ -165,7 +165,7 @@ def _with_loads(room: Headroom, words: Words, controller: ProvedController, one:
 
 def _smaller(controller: ProvedController, cheaper: Array) -> float:
     """Return how many times as large as K the gain of least cost is, in sizes."""
-    norms = (float(np.linalg.norm(controller.sizes.gain(K), 2)) for K in (cheaper, controller.K))
+    norms = map(controller.sizes.norm, (cheaper, controller.K))
     return next(norms) / next(norms)
 
 

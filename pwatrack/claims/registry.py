@@ -56,12 +56,12 @@ STATEMENT = " ".join(
 )
 
 
-def proved(controller: ProvedController, asked: Asked) -> ProvedController:
-    """Return a controller with all claims that can be made of it, beside those that it has.
+def proved(controller: ProvedController, asked: Asked, kinds: Collection[type[Claim]] = CLAIMS) -> ProvedController:
+    """Return a controller with all claims that can be made of it, or some kinds of them, beside those that it has.
 
     Raises PwatrackError if one was asked for and is not so, or not proved.
     """
-    for kind in CLAIMS:
+    for kind in (kind for kind in CLAIMS if kind in kinds):
         controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
     return controller
 
@@ -69,10 +69,7 @@ def proved(controller: ProvedController, asked: Asked) -> ProvedController:
 def again(controller: ProvedController, asked: Asked, kinds: Collection[type[Claim]]) -> ProvedController:
     """Return a controller with claims of some kinds proved anew, for what is asked now, and all others as they are."""
     kept = tuple(claim for claim in controller.claims if type(claim) not in kinds)
-    found = replace(controller, claims=kept)
-    for kind in CLAIMS:
-        if kind in kinds:
-            found = replace(found, claims=(*found.claims, *kind.prove(found, asked)))
+    found = proved(replace(controller, claims=kept), asked, kinds)
     return replace(found, claims=tuple(sorted(found.claims, key=lambda claim: CLAIMS.index(type(claim)))))
 
 

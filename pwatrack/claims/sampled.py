@@ -87,7 +87,7 @@ class SampledLoop(SampledClaim):
         """Yield the proof, or why there is none, where the loop is to be sampled."""
         if asked.sampled is not None:
             found = _proved(controller, list(_candidates(controller, asked, asked.sampled)))
-            yield replace(found, cheaper=_cheaper(controller, asked, found.gains))
+            yield found if asked.room is None else replace(found, cheaper=_cheaper(controller, asked, found.gains))
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
@@ -127,7 +127,7 @@ class SampledLoop(SampledClaim):
         yield "sampled loop", self.sentence
         yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}"
         if self.cheaper is not None:
-            norms = (float(np.linalg.norm(controller.sizes.gain(K), 2)) for K in (self.cheaper, self.gains.K))
+            norms = map(controller.sizes.norm, (self.cheaper, self.gains.K))
             share = next(norms) / next(norms)
             much = f"{share:.2g} times smaller" if share >= 1 else f"{1 / share:.2g} times larger"
             yield "", f"K is made for starts with inputs at limits: {much} in sizes than {matrix_text(self.cheaper)}"

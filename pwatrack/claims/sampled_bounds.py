@@ -166,8 +166,7 @@ class TubeBounds(Claim):
     @property
     def noise(self) -> Array:
         """How much is measured off at most at any tick, (q,)."""
-        each = (self.acts.squares.get(("noise", k), np.zeros(1)) for k in range(len(self.errors.plant.C)))
-        return np.array([float(np.sqrt(one.max())) for one in each])
+        return self.acts.noise(len(self.errors.plant.C))
 
     def taken(self, inputs: Sequence[int], rows: Array) -> tuple[Array, Array]:
         """Return how far off u_ff all that acts takes some inputs at most, from error 0 on, for any switching.

@@ -22,9 +22,9 @@ def from_start(
     starts = None if asked.begins is None or errors.gains.delay else asked.begins(controller)
     if starts is None:
         return errors, acts
-    noise = np.sqrt([acts.squares.get(("noise", k), np.zeros(1)).max() for k in range(len(controller.plant.C))])
     if asked.measured is not None:
-        starts = starts.with_more(asked.measured * noise, len(controller.L) - len(controller.plant.B))
+        noise, loads = acts.noise(len(controller.plant.C)), len(controller.L) - len(controller.plant.B)
+        starts = starts.with_more(asked.measured * noise, loads)
     columns = errors.before(starts)
     sizes = np.abs(columns) / np.array(errors.clocked.sizes)[:, None]
     columns = columns[:, (sizes > ROUNDING).any(axis=0)]

@@ -79,6 +79,10 @@ class Acting:
     loads: Array
     along: Mapping[str, Array] = field(default_factory=dict)
 
+    def noise(self, outputs: int) -> Array:
+        """Return how much is measured off at most at any tick, of so many outputs."""
+        return np.array([float(np.sqrt(self.squares.get(("noise", k), np.zeros(1)).max())) for k in range(outputs)])
+
 
 def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where: Array | float = 1.0) -> Array:
     """Return what V^½ is at most in each substep, from V = 0 on, (K,).

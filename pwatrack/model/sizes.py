@@ -183,11 +183,14 @@ class Sizes:
         """Return the gain of u = K x (m, n) in sizes: by how many the inputs move for one of a state."""
         return np.asarray(K * self.state / self.input[:, None])
 
+    def norm(self, K: Array) -> float:
+        """Return the spectral norm of a gain K (m, n) of the controller, counted in sizes."""
+        return float(np.linalg.norm(self.gain(K), 2))
+
     def norms(self, K: Array, L: Array) -> tuple[float, float]:
         """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖."""
-        in_sizes = self.gain(K), L * self.output / np.append(self.state, self.load)[:, None]
-        k, observer = (float(np.linalg.norm(X, 2)) for X in in_sizes)
-        return k, observer
+        observer = L * self.output / np.append(self.state, self.load)[:, None]
+        return self.norm(K), float(np.linalg.norm(observer, 2))
 
     def dual(self) -> "Sizes":
         """Return those of the transposed plant, whose input matrix is Cᵀ and whose gain is Lᵀ.

@@ -87,10 +87,15 @@ class LoadsAlong:
             s = turn @ s + self.steps.get(tick, 0.0)
 
     @property
+    def _stepped(self) -> dict[int, Array]:
+        """They at the first tick, and at those by which they have stepped."""
+        ticks = zip(range(max(self.steps, default=0) + 1), self.ticks, strict=False)
+        return {tick: s for tick, s in ticks if not tick or tick in self.steps}
+
+    @property
     def ends(self) -> Array:
         """Between what each is, (k, 2): of an oscillating one its amplitude."""
-        ticks = range(max(self.steps, default=0) + 1)
-        s = np.array([s for tick, s in zip(ticks, self.ticks, strict=False) if not tick or tick in self.steps])
+        s = np.array([*self._stepped.values()])
         other = s @ (self.S != 0).T  # d' = ω a: of one that does not oscillate it is 0
         size = np.where(self.S.any(axis=1), np.hypot(s, other), np.nan)
         low, high = np.where(np.isnan(size), s, -size), np.where(np.isnan(size), s, size)
@@ -99,14 +104,12 @@ class LoadsAlong:
     @property
     def largest(self) -> Array:
         """How large each gets, of loads that step and are constants in between, (k,); 0 of others."""
-        s = np.cumsum([np.zeros(len(self.S)), *self.steps.values()], axis=0)
-        return np.asarray(np.abs(s).max(axis=0))
+        return np.asarray(np.abs(self.ends).max(axis=1) * bool(self.steps) * ~self.S.any(axis=1))
 
     def behind(self, system: Exosystem) -> Exosystem:
         """Return an exosystem with them as the last entries of its w, on which no signal depends."""
-        p, h, ticks = len(system.w0), self.sample_time, range(max(self.steps, default=0) + 1)
-        after = ((tick, s) for tick, s in zip(ticks, self.ticks, strict=False) if tick and tick in self.steps)
-        resets = (Reset(tick * h, slice(p, p + len(s)), s) for tick, s in after)
+        p, h = len(system.w0), self.sample_time
+        resets = (Reset(tick * h, slice(p, p + len(s)), s) for tick, s in self._stepped.items() if tick)
         return replace(
             system,
             S=block_diag(system.S, self.S),

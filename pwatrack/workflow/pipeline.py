@@ -35,7 +35,7 @@ from pwatrack.spec.box import corners
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.workflow.headroom import demand_of, room_of_signals, room_within_limits
 from pwatrack.workflow.outcome import RunMonitor, SimulatedLoop
-from pwatrack.workflow.sampled_starts import with_starts_inside as with_starts_inside_sampled
+from pwatrack.workflow.sampled_starts import with_sampled_starts_inside
 from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, practical_design
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import (
@@ -66,8 +66,8 @@ def design(spec: Spec, *, growing: bool = False) -> ProvedController:
                     program(controller, spec.scenario.conditions)  # or a refusal: a sample may be too long
                     if spec.scenario.conditions.pace is not None:
                         program(controller, spec.scenario.conditions, given=True)
-                asked = asked_of(spec, room, controller, taken)
-                return with_starts_inside_sampled(proved(controller, asked), asked)
+                wanted = asked_of(spec, room, controller, taken)
+                return with_sampled_starts_inside(proved(controller, wanted), wanted)
         except PwatrackError as refusal:
             return _practical(spec, growing, refusal)
 
@@ -128,13 +128,10 @@ def _acting(spec: Spec, controller: ProvedController, errors: SampledErrors) -> 
 
 def _begins(spec: Spec, controller: ProvedController) -> Starts | None:
     """Return the errors with which the run begins; None where it is not known where its generator does."""
-    trajectory, found = controller.trajectory, None
     with suppress(PwatrackError):
-        eta, steady = _generator_start(spec, controller)
-        fixed = trajectory.eta0 is not None or (steady is not None and starts_periodic(spec))
-        x = plant_start(spec, trajectory, controller.generator, eta if fixed else None)
-        found = next(iter(starts_of(spec, trajectory, x, eta, controller.sizes)), None)
-    return found
+        eta, _, x = _plant_and_generator_start(spec, controller)
+        return next(starts_of(spec, controller.trajectory, x, eta, controller.sizes), None)
+    return None
 
 
 def _with_gains(
@@ -245,15 +242,20 @@ def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     controller, initial, n = loop.controller, spec.scenario.initial, spec.problem.plant.A.shape[1]
     if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
         raise start_given_twice(("simulation", "initial", "generator"))
-    eta, steady_state = _generator_start(spec, controller)
-    fixed = controller.trajectory.eta0 is not None or (steady_state is not None and starts_periodic(spec))
-    x = plant_start(spec, controller.trajectory, controller.generator, eta if fixed else None)
+    eta, steady_state, x = _plant_and_generator_start(spec, controller)
     observer = (
         measured_start(loop, x)
         if isinstance(initial.observer, Measured)
         else initial_values(initial.observer, n, "observer")
     )
     return loop.start(plant=x, observer=observer, generator=eta), steady_state
+
+
+def _plant_and_generator_start(spec: Spec, controller: ProvedController) -> tuple[Array, SteadyState | None, Array]:
+    """Return η̂(0), (p,), a period of the steady state where there is one, and x(0), (n,)."""
+    eta, steady_state = _generator_start(spec, controller)
+    fixed = controller.trajectory.eta0 is not None or (steady_state is not None and starts_periodic(spec))
+    return eta, steady_state, plant_start(spec, controller.trajectory, controller.generator, eta if fixed else None)
 
 
 def _generator_start(spec: Spec, controller: ProvedController) -> tuple[Array, SteadyState | None]:

@@ -27,7 +27,7 @@ _STARTS = (SampledLoop, SampledBounds, SampledRegion)  # what has to be proved, 
 _OTHERS = (ProgramRanges, SampledBox, SampledBoxBounds)  # what else is about the program
 
 
-def with_starts_inside(controller: ProvedController, asked: Asked) -> ProvedController:
+def with_sampled_starts_inside(controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller whose sampled loop settles from the starts of the run, its ensemble, or within sizes.
 
     The same where it does, or where no K is found with which it does. Only a K that was sought for a rate, or for
@@ -42,7 +42,7 @@ def with_starts_inside(controller: ProvedController, asked: Asked) -> ProvedCont
         return controller
     best, whatever = controller, goal.within == "region"
     for gains in _sought(controller, within, asked.sampled):
-        if not whatever and _norm(controller, gains) > _norm(controller, first):
+        if not whatever and controller.sizes.norm(gains.K) > controller.sizes.norm(first.K):
             continue
         tried = again(controller, replace(asked, sampled=gains), _STARTS)
         more = _share(tried)
@@ -75,7 +75,3 @@ def _share(controller: ProvedController) -> float | None:
         scales = [one.scale(left) for one in region.found if one.starts.kind == wanted]
         return max(scales, default=0.0)
     return None
-
-
-def _norm(controller: ProvedController, gains: SampledGains) -> float:
-    return float(np.linalg.norm(controller.sizes.gain(gains.K), 2))
