@@ -15,14 +15,16 @@ PIECES = "{polyline: {points: [[0, 0], [1, 0.03], [2, -0.02], [4, 0.04], [20, 0]
 
 
 def with_pieces(folder: Path) -> Subject:
-    """A controller with all that an input can have, and a reference in pieces that ends: 1,100 steps of it."""
+    """A controller with all that an input can have, a gain against windup too, and a reference in pieces that ends."""
     path = cart(folder, *MACHINE.split("\n  "), reference="PIECES", duration=10)
     path.write_text(path.read_text(encoding="utf-8").replace('"PIECES"', PIECES))
     subject = of_spec(load_spec(path), steps=1100)
     program = subject.file.program
     assert program is not None
     assert program.inside.pieces
-    program = program.model_copy(update={"inside": program.inside.model_copy(update={"end": 1080})})
+    inside = program.inside.model_copy(update={"end": 1080})
+    against = [[0.01 / (2 + k)] * len(program.K) for k in range(len(program.M))]  # windup
+    program = program.model_copy(update={"inside": inside, "E": against})
     return replace(subject, file=subject.file.model_copy(update={"program": program}))
 
 

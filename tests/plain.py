@@ -21,7 +21,7 @@ class Plain:
         self.H, self.h, self.K = floats(program.H), floats(program.h), floats(program.K)
         self.observer, self.generator = floats(program.observer), floats(program.generator)
         self.x_d, self.u_ff, self.guards = floats(program.x_d), floats(program.u_ff), floats(program.guards)
-        self.C, self.M = floats(program.C), floats(program.M)
+        self.C, self.M, self.E = floats(program.C), floats(program.M), floats(program.E)
         self.change, self.quantum = floats(program.change), floats(program.quantum)
         self.low, self.high = floats(program.limits[:, 0]), floats(program.limits[:, 1])
         self.turn = [] if follows is None else floats(follows.turn)
@@ -88,7 +88,7 @@ class Plain:
         acts = new["x_hat"]
         for waiting in old["late"] if self.M else ():
             acts = self.predicted(waiting, acts)
-        put, new["before"] = [], list(old["before"])
+        put, cut, new["before"] = [], [], list(old["before"])
         for b in range(self.m):
             v = self.row(self.u_ff[new["j"]][b], known)
             for a in range(self.n):
@@ -96,12 +96,16 @@ class Plain:
             least, most = new["before"][b] - self.change[b], new["before"][b] + self.change[b]
             if not isfinite(v - new["before"][b]):
                 return -1
+            wanted = v
             v = least if v < least else most if v > most else v
             v = self.low[b] if v < self.low[b] else self.high[b] if v > self.high[b] else v
             new["before"][b] = v
+            cut.append(v - wanted)
             if self.quantum[b]:
                 v = self.quantum[b] * self.real(floor(v / self.quantum[b] + self.real(0.5)))
             put.append(v)
+        if self.E:
+            new["x_hat"] = [v + self.row(a, cut) for v, a in zip(new["x_hat"], self.E, strict=True)]
         queue = [*old["late"], put]
         new["u"], new["late"], new["run"] = queue[0], queue[1:], True
         if not all(isfinite(v) for name in ("y", "u", "x_hat", "eta_hat", "w", "x_d", "before") for v in new[name]):

@@ -67,8 +67,12 @@ def test_the_simulation_is_the_page_in_every_bit(sampling: Sampling) -> None:
         rates=np.array([2000.0]),
         quanta=Quanta(inputs=np.array([0.01]), outputs=np.array([1e-5])),
     )
+    x0 = np.array([0.25, 0.0, 0.1, 0.0])
     for conditions in (Conditions(sampling=sampling), machine):
-        assert differ(closed_loop(controller, conditions), 1100, np.array([0.25, 0.0, 0.1, 0.0])) == 0
+        assert differ(closed_loop(controller, conditions), 1100, x0) == 0
+    if sampling.corrects:
+        made = replace(program(controller, machine), E=np.array([[1e-4], [0.02], [-3e-5], [0.01]]))
+        assert differ(closed_loop(controller, machine, made), 1100, x0) == 0
 
 
 @pytest.mark.parametrize(

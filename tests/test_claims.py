@@ -164,14 +164,12 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         path = tmp_path / f"{name}.yaml"
         path.write_text(f"name: {name}\n{text}")
         yield path
-    for name, more, also in (
-        ("pole", "", "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"),
-        ("idle", "estimate: input", ""),
-    ):
+    for name in ("pole", "leaning", "idle"):
         (tmp_path / name).mkdir()
-        yield test_sampled_region.written(tmp_path / name, more=more, also=also)
-    (tmp_path / "leaning").mkdir()
+    noise = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"
+    yield test_sampled_region.written(tmp_path / "pole", also=noise)
     yield test_sampled_region.leaning(tmp_path / "leaning")
+    yield test_sampled_region.leaning(tmp_path / "idle", test_sampled_region.KEPT)
     (tmp_path / "table").mkdir()
     yield test_sampled_box.written(tmp_path / "table", more="plant: {parameters: {m: 2.1}}")
     for name, told in TOLD.items():

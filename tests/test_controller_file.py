@@ -216,7 +216,7 @@ def test_parts_that_do_not_fit_each_other_are_refused(
 def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp_path: Path) -> None:
     old = tmp_path / "controller.json"
     old.write_text(json.dumps({**content(run), "format": "pwatrack controller 1"}))
-    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 7'"):
+    with pytest.raises(InvalidSpec, match="'pwatrack controller 1', this program reads 'pwatrack controller 8'"):
         Controller.load(old)
     for text in ("", "[]", "{}", "null", '{"format": 1}', "[" * 100_000, '{"format": "pwatrack controller 4"}'):
         old.write_text(text)

@@ -322,6 +322,24 @@ def test_a_gain_against_windup_can_help_and_never_as_much_as_a_gain_made_for_the
     assert more * shares[0] < shares[1] < far[1]
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2, 4])
+def test_the_best_gain_against_windup_is_one_program_and_no_trial_is_better(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    loop, n = random_loop(random, 2, 1, 2), 2
+    starts, room = np.eye(2 * n)[:, :n], np.ones(1)
+
+    def held(E: Array) -> float:
+        found = replace(loop, B=BallMatrix.of(np.vstack([loop.B.floats[:n], E]))).around(starts, room)
+        return 0.0 if found is None else 1 / found.sizes[0]
+
+    E = loop.against_windup(starts, room, n, 1e-4, 1e4)
+    assert E is not None
+    best = held(E)
+    assert best > held(np.zeros((n, 1))) * 0.999
+    trials = [E * scale + size * np.abs(E).max() * random.normal(size=E.shape) for scale in (0, 1) for size in (0.1, 1)]
+    assert all(held(trial) < best * 1.002 for trial in trials)
+
+
 def test_a_stable_plant_is_brought_to_0_from_every_start_for_every_gain_by_one_against_windup() -> None:
     """1 / (s + 1)³: no Q is common to A and A + B K as A (A + B K) has a negative eigenvalue (Shorten and Narendra)."""
     A, B, nothing = np.array([[0.0, 1, 0], [0, 0, 1], [-1, -3, -3]]), np.array([[0.0], [0], [1]]), np.zeros((3, 3))

@@ -23,7 +23,9 @@ from pwatrack.commands.verify import verify
 from pwatrack.control.candidates import Candidates
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.headroom import InputConstraint
+from pwatrack.control.program import program
 from pwatrack.control.sampled_disturbances import drives
+from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.task import Task
 from pwatrack.lmi import polynomial_region
 from pwatrack.lmi.audit.certificate import audit
@@ -115,7 +117,29 @@ def scaled(controller: ProvedController) -> dict[str, float]:
     return {one.starts.kind: one.scale(left) for one in claim.found}
 
 
-@pytest.mark.parametrize("of", ["pole", "loaded", "slow", "late"])
+KEPT = "controller: {rate: largest, gain: 9}, estimate: input"  # a K that no other one stands in for
+
+
+@pytest.fixture(scope="module")
+def against(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedController]:
+    """It has a gain against windup, which moves the estimate of its load too."""
+    path = leaning(tmp_path_factory.mktemp("against"), KEPT)
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("  initial", "  disturbance: {v: 0.3}\n  initial"), "utf-8"
+    )
+    return load_spec(path), design(load_spec(path))
+
+
+def moved(gains: SampledGains, order: int, loads: int) -> Array:
+    """What z = (x − x_d, ν, x̂ − x, ŝ − s, …) is moved by for 1 that is cut off: ν − (ŝ − s) is what is put out."""
+    E, (m, n) = gains.into[:, 0], gains.K.shape
+    found = np.zeros(order)
+    found[n] = 1 + E[n:].sum() * (loads > 0)
+    found[n + m : n + m + len(E)] = E
+    return found
+
+
+@pytest.mark.parametrize("of", ["pole", "loaded", "slow", "late", "against"])
 def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
     of: str, request: pytest.FixtureRequest
 ) -> None:
@@ -125,8 +149,9 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
     slowed = 0
     F, (J,) = np.array([X.floats for X in system.vertices]), (X.floats for X in system.J)
     assert system.between is not None
-    R, step = system.between.floats, 0.02 / system.parts
-    place = len(controller.plant.B)
+    gains = errors.gains
+    R, step = system.between.floats, gains.sample_time / system.parts
+    more = moved(gains, errors.order, len(gains.M) - len(controller.plant.B))
     (before,) = drives(errors, (0,))
     D = before @ J
     for one in controller.claim(SampledRegion).found:
@@ -144,8 +169,7 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
                 off = np.clip(slower, -most, most) - D @ at
                 reached += off != 0
                 slowed += slower != D @ at
-                at = J @ at
-                at[place] += off
+                at = J @ at + more * off
                 for part in range(system.parts):
                     for _ in range(2):
                         at = expm(F[random.integers(len(F))] * step / 2) @ at
@@ -155,6 +179,58 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
                 value = after
     assert reached > 200
     assert slowed > 40 or of != "slow"
+    assert len(gains.E) == 3 * (of == "against")
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+def test_at_limits_the_errors_of_the_program_are_moved_by_its_gain_against_windup(
+    estimated: bool, tmp_path: Path
+) -> None:
+    """Of one cell z obeys its matrices exactly: the program beside the plant, and z⁺ = J z + T (v − D z)."""
+    path = written(tmp_path, more="estimate: input" if estimated else "", also="disturbance: {v: 0.3}" * estimated)
+    text = "".join(line for line in path.read_text("utf-8").splitlines(True) if "nonlinearities" not in line)
+    path.write_text(text, encoding="utf-8")
+    spec = load_spec(path)
+    controller = design(spec)
+    errors, conditions = controller.claim(SampledBounds).errors, spec.scenario.conditions
+    gains = replace(errors.gains, E=np.array([[0.01], [-0.02], [0.05]])[: len(errors.gains.M)])
+    loop = closed_loop(controller, conditions, replace(program(controller, conditions), E=gains.E))
+    load, x, x_hat = 0.3 * estimated, np.array([0.25, 0.3]), np.array([0.3, 0.2])
+    start = loop.start(plant=x, observer=x_hat, generator=np.zeros(0))
+    trace = simulate_flow(loop.flow, start, duration=2.0, sample_time=0.02, resets=loop.resets(2.0))
+    response = loop.response(trace)
+    (F,), (J,) = (X.floats for X in errors.clocked.vertices), (X.floats for X in errors.clocked.J)
+    more, D = moved(gains, errors.order, len(gains.M) - 2), drives(errors, (0,))[0] @ J
+    z, cut = np.zeros(errors.order), 0
+    z[:2], z[3 : 3 + len(gains.M)] = x, [*(x_hat - x), -load][: len(gains.M)]
+    for at, u in zip(response.x, response.u, strict=True):
+        assert z[:2] == pytest.approx(at, abs=1e-9)
+        v = np.clip(D @ z, -2 + load, 2 + load)  # u_ff is −load, where it is taken off
+        assert u[0] == pytest.approx(v - load, abs=1e-9)
+        cut += v != D @ z
+        z = expm(F * 0.02) @ (J @ z + more * (v - D @ z))
+    assert cut > 5
+
+
+def test_a_gain_against_windup_is_made_where_K_is_to_stay(
+    against: tuple[Spec, ProvedController], tmp_path: Path
+) -> None:
+    spec, controller = against
+    loop, own = controller.claim(SampledLoop), asked(spec, replace(controller, claims=()))
+    assert loop.cheaper is None
+    without = proved(replace(controller, claims=()), own)
+    assert np.array_equal(without.claim(SampledLoop).gains.K, loop.gains.K)
+    assert not len(without.claim(SampledLoop).gains.E)
+    assert scaled(controller)["run"] > 1.1 * scaled(without)["run"]
+    assert any("against windup" in text for _, text in loop.rows(spec.words, controller))
+    content = design_certificate(spec, controller)
+    assert not audit(json.dumps(content))[1]
+    told = read(content, replace(controller, claims=()), own).claim(SampledLoop)
+    assert [*told.rows(spec.words, controller)] == [*loop.rows(spec.words, controller)]
+    E = content["sampled"]["E"]
+    for forged in ([], times(E, 3), [*E[:2], ["0"]], E[:2]):
+        content["sampled"]["E"] = forged
+        assert audit(json.dumps(content))[1]
 
 
 def runs(controller: ProvedController, x: Array, x_hat: Array, push: Conditions) -> Array:

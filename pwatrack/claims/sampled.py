@@ -114,6 +114,7 @@ class SampledLoop(SampledClaim):
             "sampled": {
                 "K": decimal_texts(gains.K),
                 "M": decimal_texts(gains.M),
+                "E": decimal_texts(gains.E),
                 "rows": errors.R.texts,
                 "sample_time": decimal(gains.sample_time),
                 "substeps": gains.substeps,
@@ -126,6 +127,11 @@ class SampledLoop(SampledClaim):
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         yield "sampled loop", self.sentence
         yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}"
+        if len(self.gains.E):
+            yield (
+                "",
+                f"and x̂ moves by E = {matrix_text(self.gains.E)} times what limits cut off an input, against windup",
+            )
         if self.cheaper is not None:
             norms = map(controller.sizes.norm, (self.cheaper, self.gains.K))
             share = next(norms) / next(norms)
@@ -160,7 +166,7 @@ class SampledLoop(SampledClaim):
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         gains, rate = self.gains, None if self.proof is None else self.rate
         found = {"sample_time": gains.sample_time, "substeps": gains.substeps, "rate": rate}
-        return {"sampled": found | {"K": gains.K.tolist(), "M": gains.M.tolist()}}
+        return {"sampled": found | {"K": gains.K.tolist(), "M": gains.M.tolist(), "E": gains.E.tolist()}}
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         if self.proof is None:
@@ -237,6 +243,7 @@ def _read_gains(told: Any) -> SampledGains:
     return SampledGains(
         K=np.asarray(doubles(told["K"])),
         M=np.asarray(doubles(told["M"])),
+        E=np.asarray(doubles(told["E"])).reshape(len(told["E"]), len(told["K"])),
         sample_time=double(told["sample_time"]),
         substeps=told["substeps"],
         delay=told["delay"],

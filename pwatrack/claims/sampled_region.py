@@ -1,12 +1,12 @@
 """From which starts the errors of a sampled loop settle although limits of inputs are reached: proved, stored, said.
 
-The program cuts its input off, holds it and predicts with it, so the observer's errors are untouched: see
-`lmi.clocked_region`. What acts in the run is in it: what that leaves in an input beside the feedforward, in the loop
-without limits, is taken off what the feedforward leaves of them.
+The program cuts its input off, holds it and predicts with it, so the observer's errors are untouched, but for what a
+gain against windup makes of them: see `lmi.clocked_region`. What acts in the run is in it: what that leaves in an input
+beside the feedforward, in the loop without limits, is taken off what the feedforward leaves of them.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Literal
@@ -21,10 +21,12 @@ from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Form, Loops
+from pwatrack.control.candidates import short
 from pwatrack.control.controller import Asked, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.sampled_disturbances import beside_loads, drives
 from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_region import ClockedRegion, SaturatedTicks
@@ -35,6 +37,8 @@ from pwatrack.rational import floats
 _NOT_FOUND = "no forms were found that prove it"
 _FINER = 2  # times as many segments as the loop without limits takes
 _SLOWED = (1.0, 0.3)  # times what an input wants to change by: what it changes by at least where it may not
+_FASTER = (1.5, 5.0)  # times as fast as the loop without limits: how fast V may change with a gain against windup
+_MUCH = (1.0, 0.5)  # of it that is tried: it is sought as if samples were short
 _SHARES = ((0.25, 0.1), (0.5, 1.0))  # of its rate: what V falls with at a limit; the others where none of these will do
 
 
@@ -56,7 +60,8 @@ class SampledRegion(RegionClaim):
     statement: ClassVar[str] = (
         "Under sampled_regions: z as under sampled, before a tick, with nu = 0 and rho = 0 at the starts, D the rows "
         "of J for nu, without delay less U (s_hat - s) after the tick, J_S with H_S in place of D_S for all sets S of "
-        "the inputs with limits: P as under sampled with rate 0 and J_S^T P_0 J_S < P_N for all S at ticks, z^T P_N z "
+        "the inputs with limits, where x_hat and s_hat of the tick are moved by E times what H z is more than D z, and "
+        "nu by U times that of s_hat too: P as under sampled with rate 0 and J_S^T P_0 J_S < P_N for all S, z^T P_N z "
         "<= 1 at the starts, and |H z| <= the sizes where it is so. So z, less what all that acts makes of it without "
         "limits along the same switching, goes to 0 from starts scaled by c, with u cut off anywhere beyond c times "
         "these sizes and loads and what that makes of u; with H = 0 and no starts, from all. A row of a change is one "
@@ -171,6 +176,11 @@ class _Search:
         room, changes, idle = self.room, self.changes, self.idle
         return SampledRegion(room=room, changes=changes, idle=idle, late=late, found=found, missing=missing)
 
+    @property
+    def left(self) -> Array | None:
+        """How far each input may be from its feedforward, then what is left of its changes."""
+        return self.told(()).left
+
     @cached_property
     def errors(self) -> SampledErrors:
         """Of the loop."""
@@ -213,10 +223,20 @@ class _Search:
             near=floats(self.proof.P[0].P),
             knots=_FINER * (len(self.proof.P) // system.parts - 1),
             places=tuple(n + k % m for k in self.limited),
+            T=self.moves.part(range(self.errors.order), [k % m for k in self.limited]),
             D=BallMatrix.of(put_out) @ system.J[0],
             before=BallMatrix.of(put_out * (np.array(self.limited) >= m)[:, None]),
             rate=self.proof.rate,
         )
+
+    @property
+    def moves(self) -> BallMatrix:
+        """What z is moved by, (order, m), for what is cut off an input: x̂ and ŝ by E, and ν so that v is put out."""
+        n, m, N, *_ = self.errors.widths
+        moved = np.zeros((self.errors.order, m))
+        moved[n + m : n + m + N] = self.loop.gains.into
+        into, nu = BallMatrix.of(moved), BallMatrix.of(np.eye(self.errors.order)[:, n : n + m])
+        return into + nu @ (BallMatrix.of(np.eye(m)) - BallMatrix.of(drives(self.errors, range(m))) @ into)
 
     @property
     def limited(self) -> tuple[int, ...]:
@@ -241,7 +261,7 @@ class _Search:
         Q = np.asarray(np.linalg.inv(floats(self.proof.P[0].P))[np.ix_(own, own)], dtype=np.float64)
         return SaturatedLoop(
             M=[BallMatrix.of(X) for X in pairs],
-            B=BallMatrix.of(np.vstack([B, np.zeros((N, m))])[:, list(inputs)]),
+            B=BallMatrix.of(np.vstack([B, gains.into / gains.sample_time])[:, list(inputs)]),
             D=BallMatrix.of(D[list(inputs)]),
             inners=[Inner(Q=Q, most=2 * self.proof.rate)],
         )
@@ -260,9 +280,25 @@ class _Search:
                 if best is not None:
                     yield best
 
+    def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
+        """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""
+        left, (n, m, N, *_), gains, inputs = self.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
+        assert left is not None
+        G, room = self.errors.before(starts)[[*range(n), *range(n + m, n + m + N)]], np.maximum(left[inputs], 0.0)
+        for faster in _FASTER:
+            E = self.continuous.against_windup(G, room, N, _SHARES[0][-1] * self.proof.rate, faster)
+            if E is None:
+                continue
+            for much in _MUCH:
+                whole = np.zeros((N, m))
+                whole[:, inputs] = E * (much * gains.sample_time)
+                made = replace(gains, E=short(whole))
+                found = replace(self, loop=replace(self.loop, gains=made))._largest(starts)
+                yield made, 0.0 if found is None else found.scale(left)
+
     def _largest(self, starts: Starts) -> StartGuarantee | None:
         """Return the region of the largest multiple that is proved, of a few H."""
-        left, (n, m, N, *_), ticks, best = self.told(()).left, self.errors.widths, self.ticks, None
+        left, (n, m, N, *_), ticks, best = self.left, self.errors.widths, self.ticks, None
         assert left is not None
         before, own, inputs = self.errors.before(starts), [*range(n), *range(n + m, n + m + N)], len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
@@ -305,6 +341,14 @@ class _Search:
         (n, m, N, *_), rows = self.errors.widths, list(entry["starts"])
         own = next((one for one in self.starts if one.kind == entry["of"]), None)
         return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
+
+
+def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Iterator[tuple[SampledGains, float]]:
+    """Yield gains with one against windup, and what multiple of the starts of a kind is proved with them."""
+    for search in _Search.of(controller, asked):
+        for starts in search.starts if not search.missing and not search.loop.gains.delay else ():
+            if starts.kind == kind:
+                yield from search.against_windup(starts)
 
 
 def _beyond(controller: ProvedController, room: Headroom) -> str:

@@ -65,6 +65,7 @@ class SampledController:
     observer: Array
     C: Array  # what would be measured, on (x̂, ŝ), (q, N)
     M: Array  # what a difference of that to y corrects of (x̂, ŝ), (N, q); (0, q) where nothing is corrected
+    E: Array  # what x̂ and ŝ are moved by for what limits cut off an input, (N, m); (0, m) where they are not
     generator: Array  # η̂ one sample later, in the cell of x_d, on (ŝ, η̂, w, 1), (d, p, C)
     x_d: Array  # x_d in its cell, on the same, (d, n, C)
     u_ff: Array  # u_ff in the cell of x_d, on the same, (d, m, C)
@@ -105,8 +106,8 @@ class SampledController:
     def places(self) -> dict[str, slice]:
         """Where each of its numbers is in its memory, and behind that what it works with.
 
-        That is: guards, the last w; what is predicted, in a substep from (u, x̂, ŝ), and by how much y is missed; the
-        way to a set-point, and how long it is bent and how.
+        That is: guards, the last w; what limits cut off; what is predicted, in a substep from (u, x̂, ŝ), and by how
+        much y is missed; the way to a set-point, and how long it is bent and how.
         """
         of, late = self.sizes, self.sampling.delay
         lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
@@ -115,6 +116,7 @@ class SampledController:
         lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
         lengths |= {"g": max(len(self.h), len(self.guards)), "source": of["s"]}
         predicted = of["N"] if self.sampling.corrects else 0
+        lengths |= {"cut": of["m"] if len(self.E) else 0}
         lengths |= {"seen": predicted and of["m"] + predicted, "moved": predicted, "missed": predicted and of["q"]}
         lengths |= dict.fromkeys(("going", "lasting", "bending"), 3 * bool(len(self.pace)))
         lengths |= {"made": of["s"] // len(self.pace) if len(self.pace) else 0}
@@ -162,6 +164,7 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
         observer=_observer(controller, steps) if gains is None else _prediction(controller, gains),
         C=plant.observed.C.floats,
         M=np.zeros((0, len(plant.C))) if gains is None else gains.M,
+        E=np.zeros((0, m)) if gains is None else gains.E.reshape(-1, m),
         generator=np.array([steps(F_j)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in each]) @ late,
         guards=on_estimates(trajectory.guards, added.guards) @ late,
         sides=trajectory.signs,

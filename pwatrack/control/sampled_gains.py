@@ -1,6 +1,6 @@
 """Gains of a controller that runs once in a sample time: it predicts, measures, corrects, and acts in the same tick."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import expm
@@ -20,7 +20,8 @@ class SampledGains:
     """What the program of `control.program` runs with where it predicts and corrects.
 
     At tick k: x̂_k = x̂⁻_k + M (C x̂⁻_k − y_k) and u_k = K (x̂_k − x_d(t_k)) + u_ff,k; then x̂⁻_{k+1} is predicted from
-    x̂_k under u_k, in steps of h / substeps, each with the affine law of the cell in which it begins.
+    x̂_k under u_k, in steps of h / substeps, each with the affine law of the cell in which it begins. With E, x̂_k is
+    moved by E (u_k − what was wanted) before that, as far as limits cut u_k off.
 
     Attributes:
         K: (m, n), in the unit of an input per unit of a state.
@@ -29,6 +30,7 @@ class SampledGains:
         substeps: Of one prediction, at least 1.
         delay: How many samples late inputs are.
         jitter: By how much the time between two ticks may differ from h, in s.
+        E: A gain against windup, (N, m); (0, 0) where there is none.
     """
 
     K: Array
@@ -37,11 +39,17 @@ class SampledGains:
     substeps: int = 1
     delay: int = 0
     jitter: float = 0.0
+    E: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def passing(self, rate: float) -> float:
         """Return a rate (1/s) of the program's time as one of time as it passes, ticks as far apart as may be."""
         h, late = self.sample_time, self.jitter
         return rounded_down(rate * h / (h + late), 6) if late else rate
+
+    @property
+    def into(self) -> Array:
+        """What x̂ and ŝ are moved by for what limits cut off, (N, m)."""
+        return self.E if len(self.E) else np.zeros((len(self.M), len(self.K)))
 
     def of(self, sampling: Sampling) -> bool:
         """Say whether they are for this sample time, delay and jitter."""

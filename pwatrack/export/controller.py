@@ -72,6 +72,11 @@ class Controller:
         return self._programs[False].M
 
     @property
+    def E(self) -> Array:
+        """What x̂ and ŝ are moved by for what limits cut off an input, (N, m); (0, m) where they are not."""
+        return self._programs[False].E
+
+    @property
     def L(self) -> Array:
         """Observer gain of the design in continuous time, (N, q)."""
         return np.array(self.file.L)

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pwatrack.control.sampled_gains import MOST_SUBSTEPS
 from pwatrack.model.conditions import Method, Sampling
 
-FORMAT = "pwatrack controller 7"
+FORMAT = "pwatrack controller 8"
 
 
 def _visible(text: str) -> str:
@@ -176,6 +176,7 @@ class Sampled(StoredPart):
     substeps: Annotated[int, Field(ge=1, le=MOST_SUBSTEPS)]
     K: Matrix
     M: Matrix
+    E: Matrix
     observer: Stack
     low: list[Finite | None]
     high: list[Finite | None]
@@ -208,7 +209,7 @@ class ControllerFile(StoredPart):
     `failed` says what its run did not achieve, in an export too; [] where it did all, or there was no run.
     """
 
-    format: Literal["pwatrack controller 7"]
+    format: Literal["pwatrack controller 8"]
     sha256: Digest
     name: Text
     spec_sha256: Digest

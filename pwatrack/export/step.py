@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
 Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
 _ORDER = """
-H h observer C M generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
+H h observer C M E generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
 signs sides piece_tick piece_start piece_length piece_value low high change quantum pace lowest highest timing weights
 """
 _SHORT = {"H": "normals", "h": "offsets", "x_d": "desired", "u_ff": "feedforward", "K": "gain"}  # cases are alike
 _ENDLESS = ("low", "high", "change", "lowest", "highest")  # infinite where there is none
-_SHORT |= {"C": "outputs", "M": "correction"}
+_SHORT |= {"C": "outputs", "M": "correction", "E": "windup"}
 _NUMBERS = {
     "tick": "samples so far",
     "since": "samples since the reference began anew",
@@ -101,7 +101,8 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
     own += [Variable("source", "real", at.s)] if len(routine.turn) else []
     predicted = {"seen": at.m + at.N, "moved": at.N, "missed": at.q} if len(routine.M) else {}
     paced = {"going": 3, "lasting": 3, "bending": 3, "made": at.s // len(routine.pace)} if len(routine.pace) else {}
-    own += [Variable(name, "real", length) for name, length in {**predicted, **paced}.items()]
+    cut = {"cut": at.m} if len(routine.E) else {}
+    own += [Variable(name, "real", length) for name, length in {**cut, **predicted, **paced}.items()]
     own += [
         Variable(name, "whole") for name in ("a", "b", "i", "k", "level", *(("here", "stage") if predicted else ()))
     ]
@@ -363,7 +364,7 @@ class _Worked:
 
 _IN_V = ("y", "u", "x_hat", "s_hat", "eta_hat", "w")  # parts of memory that are one array
 # parts of the room that are not remembered
-_WORK = ("g", "source", "seen", "moved", "missed", "going", "lasting", "bending", "made")
+_WORK = ("g", "source", "cut", "seen", "moved", "missed", "going", "lasting", "bending", "made")
 
 
 class _Named(ast.NodeTransformer):

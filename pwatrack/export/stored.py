@@ -102,7 +102,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "delay": inside.sampling.delay,
         "jitter": inside.sampling.jitter,
         "substeps": inside.substeps,
-        **_lists(inside, "K", "M", "observer"),
+        **_lists(inside, "K", "M", "E", "observer"),
         "low": _finite(inside.limits[:, 0]),
         "high": _finite(inside.limits[:, 1]),
         "change": _finite(inside.change),
@@ -185,6 +185,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         K=table("program.K", m, n),
         C=np.hstack([table("plant.C", q, n), np.zeros((q, N - n))]),
         M=table("program.M", N if corrects else 0, q),
+        E=table("program.E", N if part.E else 0, m),
         observer=table("program.observer", cells, N, m + N + 1 + q * (not corrects)),
         generator=table(f"program.{side}.generator", sides, p, columns),
         x_d=table(f"program.{side}.x_d", sides, n, columns),
@@ -199,7 +200,7 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
         pace=table("program.outside.pace", outputs, entries) if given else np.zeros((0, 4)),
         set_range=_range(part.outside) if given else np.zeros((0, 2)),
     )
-    for name in ("H", "h", "observer", "C", "M", "generator", "x_d", "u_ff", "guards", "K") if single else ():
+    for name in ("H", "h", "observer", "C", "M", "E", "generator", "x_d", "u_ff", "guards", "K") if single else ():
         largest = float(np.abs(getattr(found, name)).max(initial=0.0))
         if largest > _SINGLE:
             raise InvalidSpec(
@@ -347,7 +348,7 @@ def check_same(
     for name in _CHOSEN:
         for place in _different(getattr(known.program, name), getattr(made, name), f"program.{name}"):
             raise _other(place)
-    for name in ("observer", "K", "M", "generator", "x_d", "u_ff", "guards"):
+    for name in ("observer", "K", "M", "E", "generator", "x_d", "u_ff", "guards"):
         one, other = getattr(found, name), getattr(runs(known.model_copy(update={"program": made})), name)
         if np.abs(one - other).max(initial=0.0) > _CLOSE * np.abs(other).max(initial=0.0):
             raise _other(f"program, '{name}'")

@@ -1,7 +1,8 @@
 """Inputs of a loop that is sampled, cut off at limits: from which starts z goes to 0 all the same, proved exactly.
 
-Let z be as in `clocked`, with z⁺ = J z + T (v − D z) at ticks, T unit columns, one for each input with limits, and v_j
-what limits make of D_j z: D_j z where |D_j z| ≤ ū_j, and else between D_j z and 0 and no smaller than ū_j in size.
+Let z be as in `clocked`, with z⁺ = J z + T (v − D z) at ticks, T a column for each input with limits, E in it where
+x̂ is moved by E (v − D z), and v_j what limits make of D_j z: D_j z where |D_j z| ≤ ū_j, and else between D_j z and 0
+and no smaller than ū_j in size.
 As in `saturated`, where |H_j z| ≤ ū_j each v_j is a mean of D_j z and H_j z. So with forms P_0 … P_N that satisfy the
 inequalities of `clocked` with all
 
@@ -72,6 +73,7 @@ class SaturatedTicks:
 
     system: Clocked  # without limits
     places: tuple[int, ...]  # in z of the input that each limit is of, (m,)
+    T: BallMatrix  # what moves for what is cut off, (n, m): 1 there, where nothing is done against windup
     D: BallMatrix  # (m, n)
     before: BallMatrix  # rows that read on z what a limit of changes counts from; 0 of another, (m, n)
     near: Array  # a form P_0 that falls where no limit is reached, (n, n): it decides the coordinates
@@ -85,8 +87,8 @@ class SaturatedTicks:
         of_inputs = [[None, *(j for j in range(m) if self.places[j] == at)] for at in dict.fromkeys(self.places)]
         for chosen in product(*of_inputs):
             S = [j for j in chosen if j is not None]
-            T = BallMatrix.of(np.eye(n)[:, [self.places[j] for j in S]], (n, len(S)))
-            ticks += [J + T @ rest.part(S, range(n)) if S else J for J in self.system.J]
+            more = self.T.part(range(n), S) @ rest.part(S, range(n)) if S else None
+            ticks += [J if more is None else J + more for J in self.system.J]
         return replace(self.system, J=ticks, blocks=())
 
     def everywhere(self) -> ClockedRegion | None:
@@ -192,6 +194,7 @@ def ticking(a: float, gain: float) -> SaturatedTicks:
     return SaturatedTicks(
         system=system,
         places=(1,),
+        T=BallMatrix.of([[0], [1]]),
         D=BallMatrix.of([[gain, 0]]),
         before=BallMatrix.of([[0, 0]]),
         near=forms.P[0],

@@ -128,56 +128,90 @@ class SaturatedLoop:
 
         V falls at these rates at least, in 1/s; where none are given, at shares of the speed of the loop.
         """
+        mask = (room > 0)[:, None]
+        for size, V, _, units, found in self._asked_of(G, room, rates, np.zeros((len(G), 0))):
+            H = np.linalg.solve(V.T, np.linalg.solve(found["Q"], (found["Z"] * mask).T)).T * units[:, None]
+            yield size**2 * V @ found["Q"] @ V.T, short(H), found["w"]
+
+    def against_windup(self, G: Array, room: Array, free: int, rate: float, faster: float) -> Array | None:
+        """Return E (free, m) in the last rows of B, with which the largest multiple of starts G ζ is held, as `sought`.
+
+        With ψ = D z − v each ψ_j is between 0 and (D_j − H_j) z, so ψᵀ T⁻¹ (ψ − (D − H) z) ≤ 0 for every diagonal
+        T ≻ 0, and V falls if [sym(M_p Q), Q (D − H)ᵀ − B T; ·, −2 T] ≺ 0: linear in Q, Z, T and E T (Gomes da Silva and
+        Tarbouriech, 2005). Of one input this is no less than the vertices are, by the S-lemma. V falls at a `rate`, in
+        1/s, and at most so many times `faster` than what falls fastest without limits, by the same multipliers: so that
+        ticks do nearly what E does.
+
+        Example: z₁' = z₁ + v with v = −3 (z₁ + z₂) cut off at ±1, z₂' = −z₂ + E (v + 3 (z₁ + z₂)).
+
+            >>> M, B, D = (BallMatrix.of(v) for v in ([[-2, -3], [0, -1]], [[1], [0]], [[-3, -3]]))
+            >>> loop = SaturatedLoop(M=[M], B=B, D=D, inners=[Inner(Q=np.diag([1, 0.2]), most=9.0)])
+            >>> loop.against_windup(np.array([[0.5], [0.0]]), np.ones(1), 1, 1e-3, 5.0).shape
+            (1, 1)
+        """
+        N, most = len(G), faster * max(-float(np.linalg.eigvals(X.floats).real.min()) for X in self.M)
+        for _, _, speed, units, found in self._asked_of(G, room, [rate], np.eye(N)[:, N - free :], most):
+            return np.asarray(found["X"] / found["T"]) * speed / units
+        return None
+
+    def _asked_of(
+        self, G: Array, room: Array, rates: Sequence[float], free: Array, most: float = 0.0
+    ) -> Iterator[tuple[float, Array, float, Array, dict[str, Array]]]:
+        """Yield the size of the starts, coordinates V, speed, the units of D, and what is found in these of size 1."""
         acts = np.flatnonzero(G.any(axis=0))
         asked = self.inners and len(acts) and room.any()
         near = self.inners[-1].near(np.array([X.floats for X in self.M])) if asked else None
         if near is None:
             return
-        speed = max(float(np.abs(near[1]).max()), 1e-300)
-        for decay in [2 * rate / speed for rate in rates] or _DECAYS:
-            found = self._asked(near, G[:, acts], room, decay)
-            if found is not None:
-                yield found
-
-    def _asked(
-        self, near: tuple[Array, Array], G: Array, room: Array, decay: float
-    ) -> tuple[Array, Array, Array] | None:
-        """Return Q, H and the weights of the starts, in floating point."""
         V, inside = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
         units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
-        speed, G = max(float(np.abs(inside).max()), 1e-300), solve_triangular(V, G, lower=True)
+        speed, G = max(float(np.abs(inside).max()), 1e-300), solve_triangular(V, G[:, acts], lower=True)
         size, room = float(np.linalg.norm(G, 2)), room / units / float((room / units).max())
-        found = _largest(inside / speed, B * units / speed, D / units[:, None], G / size, room, decay)
-        if found is None:
-            return None
-        Q, Z, weights = found
-        H = np.linalg.solve(V.T, np.linalg.solve(Q, Z.T)).T * units[:, None]
-        return size**2 * V @ Q @ V.T, short(H), weights
+        free = solve_triangular(V, free, lower=True)
+        for decay in [2 * rate / speed for rate in rates] or _DECAYS:
+            found = _largest(
+                inside / speed, B * units / speed, D / units[:, None], G / size, room, decay, free, 2 * most / speed
+            )
+            if found is not None:
+                yield size, V, speed, units, found
 
 
-def _largest(M: Array, B: Array, D: Array, G: Array, room: Array, decay: float) -> tuple[Array, Array, Array] | None:
+def _largest(
+    M: Array, B: Array, D: Array, G: Array, room: Array, decay: float, free: Array, most: float
+) -> dict[str, Array] | None:
     """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²; Z is H Q.
 
-    In floating point, in coordinates in which ū_j and the loop are of size 1.
+    With T and X too, B T + free X in place of B T, where a gain is `free`. In floating point, in coordinates in which
+    ū_j and the loop are of size 1.
     """
-    (N, k), m = G.shape, len(D)
+    (N, k), m, eye = G.shape, len(D), np.eye(len(D))
     mask = (room > 0).astype(float)[:, None]
 
-    def blocks(x: Unknowns) -> Iterator[Array]:
-        Q, Z = x["Q"], x["Z"] * mask
+    def falls(x: Unknowns) -> Iterator[Array]:
+        Q, rest = x["Q"], x["Z"] * mask - D @ x["Q"]
         for chosen in product((0.0, 1.0), repeat=m):
-            added = B @ (np.array(chosen)[:, None] * (Z - D @ Q))
+            added = B @ (np.array(chosen)[:, None] * rest)
             for M_p in M:
                 yield -symmetric_part(M_p @ Q + added) - decay * Q
+
+    def falls_with(x: Unknowns) -> Iterator[Array]:
+        Q, T, rest = x["Q"], x["T"][:, :, None] * eye, (x["Z"] * mask - D @ x["Q"]).transpose(0, 2, 1)
+        moved = B @ T + free @ x["X"]
+        for M_p in M:
+            change = symmetric_part(M_p @ Q)
+            for corner, side in ((-change - decay * Q, rest + moved), (change + most * Q, rest - moved)):
+                yield np.block([[corner, side], [side.transpose(0, 2, 1), 2 * T]])
+
+    def blocks(x: Unknowns) -> Iterator[Array]:
+        yield from falls_with(x) if free.size else falls(x)
         yield from _inside(x, {"w": G})
         for j in np.flatnonzero(mask).tolist():
-            yield _bounded(Q, Z[:, j : j + 1] / room[j], x["t"])
+            yield _bounded(x["Q"], (x["Z"] * mask)[:, j : j + 1] / room[j], x["t"])
 
-    found = minimised({"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}, blocks)
-    if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
-        return None
-    return found["Q"], found["Z"] * mask, found["w"]
+    shapes: dict[str, tuple[int, ...]] = {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}
+    found = minimised({**shapes, "T": (m,), "X": (free.shape[1], m)} if free.size else shapes, blocks)
+    return None if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0 else found
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ def routine(program: SampledController, real: Any = np.float64) -> "ControllerAr
     follows = program.follows if s else None
     pieces, end = ((), None) if follows is None else (follows.pieces, follows.end)
     ticks, starts = [piece.tick for piece in pieces], np.cumsum([0, *(len(piece.w) for piece in pieces)])
-    floats = ("H", "h", "observer", "M", "generator", "x_d", "u_ff", "K", "guards", "change", "quantum")
+    floats = ("H", "h", "observer", "M", "E", "generator", "x_d", "u_ff", "K", "guards", "change", "quantum")
     return ControllerArrays(
         at=Places(
             **of,
@@ -108,7 +108,7 @@ def cell(signs: IntArray, g: Array) -> int:
     return int(np.maximum(-signs * g, 0.0).max(axis=1, initial=0.0).argmin())
 
 
-_NOTHING: dict[str, Any] = dict.fromkeys(("C", "M", "H", "K"), np.zeros((0, 0)))
+_NOTHING: dict[str, Any] = dict.fromkeys(("C", "M", "E", "H", "K"), np.zeros((0, 0)))
 _NOTHING |= dict.fromkeys(("h", "change", "quantum"), np.zeros(0)) | {"guards": np.zeros((0, 1))}
 _NOTHING |= dict.fromkeys(("observer", "generator", "x_d", "u_ff"), np.zeros((0, 0, 1))) | {"limits": np.zeros((0, 2))}
 _NOTHING |= dict.fromkeys(("signs", "sides"), np.zeros((0, 0), dtype=np.int64))

@@ -111,7 +111,7 @@ class Resets(NamedTuple):
 Places = namedtuple(
     "Places",
     "q m n N p s known delay ahead substeps "
-    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source seen moved missed "
+    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source cut seen moved missed "
     "going lasting bending made",
 )
 
@@ -125,6 +125,7 @@ class ControllerArrays(NamedTuple):
     observer: Array
     C: Array  # none where nothing is corrected
     M: Array
+    E: Array  # none where nothing is done against windup
     generator: Array
     x_d: Array
     u_ff: Array
@@ -944,6 +945,8 @@ def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int
     if not np.isfinite(last):
         fine = False
     room[at.change + channel] = last
+    if len(routine.E) > 0:
+        room[at.cut + channel] = value
     if routine.change[channel] < np.inf:
         last = room[at.before + channel] - routine.change[channel]
         difference = room[at.before + channel] + routine.change[channel]
@@ -957,6 +960,8 @@ def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int
     elif routine.high[channel] < np.inf and value > routine.high[channel]:
         value = routine.high[channel]
     room[at.before + channel] = value
+    if len(routine.E) > 0:
+        room[at.cut + channel] = value - room[at.cut + channel]
     if routine.quantum[channel] > 0:
         total = value / routine.quantum[channel]
         total = total + routine.half
@@ -1028,6 +1033,10 @@ def _act(routine: ControllerArrays, memory: Array, room: Array, new: Any, x: int
             product = routine.K[channel, a] * difference
             value = value + product
         fine = _put_out(routine, memory, room, channel, value, fine)
+    if len(routine.E) > 0:
+        "9. Against windup: what limits cut off moves x_hat."
+        for a in range(at.N):
+            room[at.x_hat + a] = room[at.x_hat + a] + _sum(routine.E[a], room, at.cut, at.m)
     return fine
 
 

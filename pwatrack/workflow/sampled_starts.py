@@ -11,9 +11,9 @@ from pwatrack.claims.registry import again
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBox, SampledBoxBounds
-from pwatrack.claims.sampled_region import SampledRegion
+from pwatrack.claims.sampled_region import SampledRegion, against_windup
 from pwatrack.control.candidates import Candidates
-from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.goal import AtLeast
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.sampled_gains import SampledGains
@@ -23,6 +23,7 @@ from pwatrack.lmi.inequality import CONTROLLER
 
 _OVER = (8.0, 4.0, 2.0)  # times what is left of an input: what a gain may ask of it from the starts
 _MOST = 50_000  # what one of them may take to be proved: 15 s
+_MORE = 1.02  # times the starts, from which on a gain against windup is worth it
 _STARTS = (SampledLoop, SampledBounds, SampledRegion)  # what has to be proved, to know the starts
 _OTHERS = (ProgramRanges, SampledBox, SampledBoxBounds)  # what else is about the program
 
@@ -30,16 +31,56 @@ _OTHERS = (ProgramRanges, SampledBox, SampledBoxBounds)  # what else is about th
 def with_sampled_starts_inside(controller: ProvedController, asked: Asked) -> ProvedController:
     """Return a controller whose sampled loop settles from the starts of the run, its ensemble, or within sizes.
 
-    The same where it does, or where no K is found with which it does. Only a K that was sought for a rate, or for
-    nothing, is replaced, by a smaller one; with `within: region` by any that has more of the starts.
+    The same where it does. Else K is kept, with a gain against windup that makes the region larger; another K is taken
+    where that is not enough, and this is.
     """
-    goal, share = asked.words.goals.get(CONTROLLER), _share(controller)
-    if share is None or share >= 1 or not isinstance(goal, AtLeast) or asked.sampled is None or asked.room is None:
-        return controller
-    within, first = asked.room.around(controller.sizes.state), controller.claim(SampledLoop).gains
+    share = _share(controller)
     much = sum(work(one.errors) * (1 + len(one.acts.squares)) for one in controller.claims_of(SampledBounds))
-    if within is None or first.delay or much > _MOST:
+    if share is None or share >= 1 or much > _MOST or controller.claim(SampledLoop).gains.delay:
         return controller
+    kept, share = _with_gain_against_windup(controller, asked, share)
+    if share >= 1:
+        return kept
+    made, share = _with_another_gain(controller, asked, share)
+    return kept if made is controller else made if share >= 1 else _with_gain_against_windup(made, asked, share)[0]
+
+
+def _with_gain_against_windup(
+    controller: ProvedController, asked: Asked, share: float
+) -> tuple[ProvedController, float]:
+    """Return a controller of the same K and M, with the gain against windup that has most of the starts, and how much.
+
+    The same where none has more of them to speak of.
+    """
+    best, least = None, share * _MORE
+    for gains, more in against_windup(controller, asked, _wanted(controller)):
+        if more > least:
+            best, least = gains, more
+        if least >= 1:
+            break
+    if best is None:
+        return controller, share
+    claims = tuple(_running_with(best, claim) for claim in controller.claims)
+    return again(replace(controller, claims=claims), asked, (SampledRegion,)), least
+
+
+def _running_with(gains: SampledGains, claim: Claim) -> Claim:
+    """Return a claim of a loop in which another gain against windup runs, which changes nothing off limits."""
+    if isinstance(claim, SampledLoop):
+        return replace(claim, gains=gains)
+    return replace(claim, errors=replace(claim.errors, gains=gains)) if isinstance(claim, SampledBounds) else claim
+
+
+def _with_another_gain(controller: ProvedController, asked: Asked, share: float) -> tuple[ProvedController, float]:
+    """Return a controller with a K that was made for the starts, and how much of them it has.
+
+    The same where none has all of them. Only a K that was sought for a rate, or for nothing, is replaced, by a smaller
+    one; with `within: region` by any that has more of the starts.
+    """
+    goal, first = asked.words.goals.get(CONTROLLER), controller.claim(SampledLoop).gains
+    within = None if asked.room is None else asked.room.around(controller.sizes.state)
+    if within is None or not isinstance(goal, AtLeast) or asked.sampled is None:
+        return controller, share
     best, whatever = controller, goal.within == "region"
     for gains in _sought(controller, within, asked.sampled):
         if not whatever and controller.sizes.norm(gains.K) > controller.sizes.norm(first.K):
@@ -50,7 +91,7 @@ def with_sampled_starts_inside(controller: ProvedController, asked: Asked) -> Pr
             best, share = tried, more
         if share >= 1:
             break
-    return best if best is controller else again(best, asked, _OTHERS)
+    return best if best is controller else again(best, asked, _OTHERS), share
 
 
 def _sought(controller: ProvedController, within: InputConstraint, made: SampledGains) -> Iterator[SampledGains]:
@@ -66,12 +107,17 @@ def _sought(controller: ProvedController, within: InputConstraint, made: Sampled
 def _share(controller: ProvedController) -> float | None:
     """Return how much of the starts is proved: of the run or its ensemble where these are told; None without limits."""
     for region in controller.claims_of(SampledRegion):
-        left, kinds = region.left, {one.kind for one in region.room.starts}
+        left = region.left
         if left is None:
             return None
         if region.from_this_start(controller) or any(one.starts.kind == "every" for one in region.found):
             return 1.0
-        wanted = next((kind for kind in ("ensemble", "run") if kind in kinds), "exact")
-        scales = [one.scale(left) for one in region.found if one.starts.kind == wanted]
+        scales = [one.scale(left) for one in region.found if one.starts.kind == _wanted(controller)]
         return max(scales, default=0.0)
     return None
+
+
+def _wanted(controller: ProvedController) -> str:
+    """Return which starts count."""
+    kinds = {one.kind for region in controller.claims_of(SampledRegion) for one in region.room.starts}
+    return next((kind for kind in ("ensemble", "run") if kind in kinds), "exact")

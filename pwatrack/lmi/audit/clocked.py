@@ -14,7 +14,7 @@ from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
 SAMPLED = (
-    of(ROWS, "K M rows")
+    of(ROWS, "K M E rows")
     | of(NUMBER, "sample_time jitter rate")
     | of(WHOLE, "substeps delay")
     | {"P": [PACKED], "T": ROWS}

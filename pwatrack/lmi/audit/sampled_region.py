@@ -6,7 +6,7 @@ from itertools import chain
 from itertools import product as choices
 from typing import Any
 
-from .balls import Ball
+from .balls import Ball, stacked, zero
 from .bounds import SIGNALS, Loop
 from .clocked import growing, predicted
 from .matrices import AuditFault, added, definite, identity
@@ -84,5 +84,20 @@ def ticks(errors: AuditedErrors, inputs: list[int], changing: list[bool], H: Any
             if errors.at[load] == k and not errors.late:  # else it is in nu
                 made, before = made - J.row(n + m + n + load), before - eye.row(n + m + n + load)
         rest = Ball([row]) + before - made if is_change else Ball([row]) - made
-        changes[k].append([eye.row(n + k).T @ rest])
+        changes[k].append([moved(errors, k) @ rest])
     return [reduce(Ball.__add__, chain(*chosen), J) for chosen in choices(*changes.values())]
+
+
+def moved(errors: AuditedErrors, k: int) -> Ball:
+    """Return what z is moved by for what limits cut off an input: its prediction by E, and nu so that that is put out.
+
+    What is put out is nu, without delay less U (s_hat - s).
+    """
+    n, m, N, E = errors.n, errors.m, errors.N, errors.E.column(k)
+    nu = [E.row(n + load).times(Fraction(not errors.late)) for load in range(len(errors.at))]
+    rows = [Ball([[Fraction(j == k)]]) for j in range(m)]
+    rows = [
+        reduce(Ball.__add__, (v for v, at in zip(nu, errors.at, strict=True) if at == j), row)
+        for j, row in enumerate(rows)
+    ]
+    return stacked(zero(n, 1), *rows, E, zero(errors.order - n - m - N, 1))

@@ -48,6 +48,8 @@ class AuditedErrors:
         self.K, self.M, self.R = (Ball(matrix(content[name])) for name in ("K", "M", "rows"))
         self.n, self.m, self.N = len(plant.B[0]), len(plant.B[0][0]), len(plant.seen_A[0][0])
         sizes_ = {"K": (self.K, self.m, self.n), "M": (self.M, self.N, len(plant.C[0]))}
+        self.E = Ball(matrix(content["E"] or [["0"] * self.m] * self.N))
+        sizes_["E"] = (self.E, self.N, self.m)
         for name, ((X, _), rows, columns) in sizes_.items():
             if len(X) != rows or any(len(row) != columns for row in X):
                 raise AuditFault(f"{name} of the sampled loop does not fit the plant")
