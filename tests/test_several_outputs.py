@@ -244,11 +244,12 @@ def test_a_box_of_parameters_is_proved_with_several_outputs(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_sampled_controller_is_off_by_the_square_of_its_sample_time_with_several_outputs(tmp_path: Path) -> None:
-    errors = []
+    errors, path = [], tmp_path / "gantry.yaml"
+    path.write_text(as_designed(GANTRY))
+    controller = design(load_spec(path))
     for sample_time in (0.001, 0.0005):
-        controller = f"  controller: {{sample_time: {sample_time}}}\n  settled"
-        path = tmp_path / "gantry.yaml"
-        path.write_text(as_designed(GANTRY).replace("  settled", controller))
-        errors.append(np.abs(simulate(load_spec(path)).response.tracking_error[-100:]).max())
+        sampled = f"  controller: {{sample_time: {sample_time}}}\n  settled"
+        path.write_text(as_designed(GANTRY).replace("  settled", sampled))
+        errors.append(np.abs(simulate(load_spec(path), controller).response.tracking_error[-100:]).max())
     assert errors[1] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)

@@ -51,14 +51,14 @@ def product(X: Matrix, Y: Matrix) -> Matrix:
         raise AuditFault("matrices do not fit together")
     found = list[list[Fraction]]()
     for row in X:
-        terms = [[a * b for a, b in zip(row, c, strict=True) if a and b] for c in columns]
-        found.append([total(each) for each in terms])
+        there = [(k, a) for k, a in enumerate(row) if a]
+        found.append([total([a * column[k] for k, a in there if column[k]]) for column in columns])
     return found
 
 
 def total(terms: list[Fraction]) -> Fraction:
     """Return the sum."""
-    found = sum(terms, Fraction(0))
+    found = sum(terms[1:], terms[0]) if terms else Fraction(0)
     spend(1 + len(terms), bits([found]))
     return found
 
@@ -66,7 +66,10 @@ def total(terms: list[Fraction]) -> Fraction:
 def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     """Return X + factor Y."""
     spend(sum(map(len, X)), bits(v for row in (*X, *Y) for v in row))
-    return [[a + factor * b for a, b in zip(one, two, strict=True)] for one, two in zip(X, Y, strict=True)]
+    pairs = [zip(one, two, strict=True) for one, two in zip(X, Y, strict=True)]
+    if factor == 1:
+        return [[a + b if a and b else a or b for a, b in row] for row in pairs]
+    return [[a + factor * b if b else a for a, b in row] for row in pairs]
 
 
 def times(X: Matrix, factor: Fraction | int) -> Matrix:

@@ -124,8 +124,11 @@ class AuditedErrors:
 
     def opened(self, edges: int) -> list[tuple[Ball, Matrix, Matrix]]:
         """Return the boxes of flows, which have so many edges, or all corners of them if that is none."""
-        if edges or not self.flows[0][2]:
-            return self.flows
+        return self.flows if edges or not self.flows[0][2] else self.corners_of_flows
+
+    @cached_property
+    def corners_of_flows(self) -> list[tuple[Ball, Matrix, Matrix]]:
+        """All corners of the boxes of flows, each alone."""
         if len(self.flows) * 2 ** len(self.flows[0][2]) > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
         return [(F, [], []) for _, F in unlike([F for flow in self.flows for F in spread(*flow)])]
