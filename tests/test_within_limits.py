@@ -30,8 +30,8 @@ from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.screen import Findings
 from pwatrack.report.files import write_design
+from pwatrack.report.screen import Findings
 from pwatrack.report.summary import print_design
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
