@@ -1,10 +1,12 @@
 """Controllers with all that an input can have, to be exported."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from pwatrack import load_spec
 from pwatrack.commands.export import Subject, of_spec
+from tests.conftest import SPECS
 from tests.test_outcome import cart
 
 MACHINE = """controller: {sample_time: 0.01, delay: 2}
@@ -12,6 +14,18 @@ MACHINE = """controller: {sample_time: 0.01, delay: 2}
   rate_limit: {u: 30}
   actuator: {limits: {u: [-2, 3]}}"""
 PIECES = "{polyline: {points: [[0, 0], [1, 0.03], [2, -0.02], [4, 0.04], [20, 0]], smooth: 0.3}}"
+
+
+@cache
+def _machine() -> Subject:
+    return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=1500)
+
+
+def machine_of(steps: int) -> Subject:
+    """The paper's example on a machine with some steps of its simulation: it is designed once."""
+    made = _machine()
+    vector = replace(made.vector, y=made.vector.y[:steps], w=made.vector.w[:steps])
+    return replace(made, vector=vector)
 
 
 def with_pieces(folder: Path) -> Subject:

@@ -22,7 +22,7 @@ from pwatrack.export.fmu_models import controller_model
 from pwatrack.export.source import Source, prefix
 from pwatrack.export.source import said as in_comment
 from tests.conftest import SPECS
-from tests.exported import with_pieces, with_reversed_limits
+from tests.exported import machine_of, with_pieces, with_reversed_limits
 from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
@@ -51,7 +51,7 @@ def written(subject: Subject, folder: Path, *, single: bool = False, given: bool
 
 @pytest.fixture(scope="module")
 def machine() -> Subject:
-    return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=1500)
+    return machine_of(1500)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from pwatrack.export.controller import Controller
 from pwatrack.export.matlab import write
 from pwatrack.export.source import Source
 from tests.conftest import SPECS
-from tests.exported import with_pieces, with_reversed_limits
+from tests.exported import machine_of, with_pieces, with_reversed_limits
 from tests.test_cli import call, refused
 from tests.test_export_st import SOME
 from tests.test_outcome import cart
@@ -70,7 +70,7 @@ def test_delays_limits_steps_and_pieces_are_in_the_function(tmp_path: Path) -> N
 
 @pytest.fixture(scope="module")
 def machine() -> Subject:
-    return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=100)
+    return machine_of(100)
 
 
 @octave

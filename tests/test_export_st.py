@@ -17,7 +17,7 @@ from pwatrack.export.controller import Controller
 from pwatrack.export.source import Source
 from pwatrack.export.structured_text import function_block, program_text
 from tests.conftest import SPECS
-from tests.exported import with_pieces, with_reversed_limits
+from tests.exported import machine_of, with_pieces, with_reversed_limits
 from tests.structured_text import Block, Program
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
@@ -113,7 +113,7 @@ def test_delays_limits_steps_and_pieces_are_in_the_block(tmp_path: Path) -> None
 
 @pytest.fixture(scope="module")
 def machine() -> Subject:
-    return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=1100)
+    return machine_of(1100)
 
 
 @pytest.mark.slow

@@ -8,9 +8,10 @@ import pytest
 
 from pwatrack import Controller, Design, InvalidSpec, design, load_spec, simulate
 from pwatrack.arrays import Array
-from pwatrack.commands.export import Subject, of_spec
+from pwatrack.commands.export import Subject
 from pwatrack.model.conditions import NOMINAL, Conditions
 from tests.conftest import SPECS
+from tests.exported import machine_of
 
 control = pytest.importorskip("control", reason="python-control is not installed")
 TIGHT = {"rtol": 1e-10, "atol": 1e-11}
@@ -59,7 +60,7 @@ def test_the_loop_runs_in_python_control_as_it_runs_here(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def machine() -> Subject:
-    return of_spec(load_spec(SPECS / "two_mass_machine.yaml"), given=True, steps=100)
+    return machine_of(100)
 
 
 @pytest.mark.slow
