@@ -2,6 +2,7 @@
 
 import copy
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,14 @@ def written(
     text = text.replace("{sample_time: 0.02}", f"{{sample_time: 0.02, delay: {delay}}}")
     path.write_text(text, encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ellipsoids() -> Iterator[None]:
+    """Regions of the loop in continuous time by polynomials have tests of their own: here they only take time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(polynomial_region, "DEGREES", ())
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -265,11 +274,10 @@ def test_the_program_itself_settles_from_the_edge_and_not_from_far_beyond(pole: 
 
 
 def test_it_is_nearly_what_an_ellipsoid_of_the_loop_in_continuous_time_has(
-    pole: tuple[Spec, ProvedController], monkeypatch: pytest.MonkeyPatch
+    pole: tuple[Spec, ProvedController],
 ) -> None:
-    spec, controller = pole
-    monkeypatch.setattr(polynomial_region, "DEGREES", ())
-    claim = design(spec).claim(LimitedRegion)
+    _, controller = pole
+    claim = controller.claim(LimitedRegion)
     left = claim.room.spare
     assert left is not None
     for one in claim.found:

@@ -150,9 +150,11 @@ class SaturatedLoop:
             (1, 1)
         """
         N, most = len(G), faster * max(-float(np.linalg.eigvals(X.floats).real.min()) for X in self.M)
-        for _, _, speed, units, found in self._asked_of(G, room, [rate], np.eye(N)[:, N - free :], most):
-            return np.asarray(found["X"] / found["T"]) * speed / units
-        return None
+        asked = next(self._asked_of(G, room, [rate], np.eye(N)[:, N - free :], most), None)
+        if asked is None:
+            return None
+        _, _, speed, units, found = asked
+        return np.asarray(found["X"] / found["T"]) * speed / units
 
     def _asked_of(
         self, G: Array, room: Array, rates: Sequence[float], free: Array, most: float = 0.0

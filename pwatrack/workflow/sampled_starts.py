@@ -1,4 +1,4 @@
-"""K of a sampled loop, made for the starts of a run where its errors are to settle with inputs at their limits."""
+"""Gains of a sampled loop, made for the starts of a run where its errors are to settle with inputs at their limits."""
 
 from collections.abc import Iterator
 from dataclasses import replace
