@@ -31,6 +31,7 @@ class Plain:
         self.state |= {"x_hat": floats(x_hat), "eta_hat": floats(eta_hat)}
         w = [zero] * of["s"] if follows is None else floats(follows.w0)
         self.state |= {"w": w, "w1": w, "w2": w, "late": [[zero] * self.m] * self.delay, "before": [zero] * self.m}
+        self.state["late_cut"] = self.state["late"]
         self.pace = floats(program.pace)
         self.windows = program.windows.tolist()
         self.state |= {"course": [[zero, zero, zero, pace[0]] for pace in self.pace]}
@@ -81,6 +82,9 @@ class Plain:
         if self.M:
             missed = [self.row(a, new["x_hat"]) - y for a, y in zip(self.C, new["y"], strict=True)]
             new["x_hat"] = [v + self.row(a, missed) for v, a in zip(new["x_hat"], self.M, strict=True)]
+        if self.E and self.delay:
+            waited = old["late_cut"][0]
+            new["x_hat"] = [v + self.row(a, waited) for v, a in zip(new["x_hat"], self.E, strict=True)]
         known = [*new["x_hat"][self.n :], *new["eta_hat"], *new["w"]]
         new["i"] = self.cell_of(new["x_hat"])
         new["j"] = self.cell(self.program.sides, [self.row(guard, known) for guard in self.guards])
@@ -104,10 +108,10 @@ class Plain:
             if self.quantum[b]:
                 v = self.quantum[b] * self.real(floor(v / self.quantum[b] + self.real(0.5)))
             put.append(v)
-        if self.E:
+        queue, cuts = [*old["late"], put], [*old["late_cut"], cut]
+        if self.E and not self.delay:
             new["x_hat"] = [v + self.row(a, cut) for v, a in zip(new["x_hat"], self.E, strict=True)]
-        queue = [*old["late"], put]
-        new["u"], new["late"], new["run"] = queue[0], queue[1:], True
+        new["u"], new["late"], new["late_cut"], new["run"] = queue[0], queue[1:], cuts[1:], True
         if not all(isfinite(v) for name in ("y", "u", "x_hat", "eta_hat", "w", "x_d", "before") for v in new[name]):
             return -1
         self.state = new

@@ -140,10 +140,13 @@ def against(tmp_path_factory: pytest.TempPathFactory) -> tuple[Spec, ProvedContr
 
 
 def moved(gains: SampledGains, order: int, loads: int) -> Array:
-    """What z = (x − x_d, ν, x̂ − x, ŝ − s, …) is moved by for 1 that is cut off: ν − (ŝ − s) is what is put out."""
+    """What z = (x − x_d, ν, x̂ − x, ŝ − s, …) is moved by for 1 that is cut off.
+
+    ν − (ŝ − s) is what is put out, or ν where inputs are late.
+    """
     E, (m, n) = gains.into[:, 0], gains.K.shape
     found = np.zeros(order)
-    found[n] = 1 + E[n:].sum() * (loads > 0)
+    found[n] = 1 + E[n:].sum() * (loads > 0 and not gains.delay)
     found[n + m : n + m + len(E)] = E
     return found
 
@@ -188,7 +191,36 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
                 value = after
     assert reached > 200
     assert slowed > 40 or of != "slow"
-    assert len(gains.E) == 3 * (of == "against")
+    assert len(gains.E) or of != "against"
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+@pytest.mark.parametrize("delay", [1, 2])
+def test_late_inputs_move_the_estimate_as_they_are_put_out(delay: int, estimated: bool, tmp_path: Path) -> None:
+    """Of one cell, as the first input acts, with x̂ = x: from there z⁺ = J z + T (v − D z) is what the program does."""
+    path = written(tmp_path, more="estimate: input" if estimated else "", delay=delay)
+    text = "".join(line for line in path.read_text("utf-8").splitlines(True) if "nonlinearities" not in line)
+    path.write_text(text, encoding="utf-8")
+    spec = load_spec(path)
+    controller = design(spec)
+    errors, conditions = controller.claim(SampledBounds).errors, spec.scenario.conditions
+    gains = replace(errors.gains, E=np.array([[0.01], [-0.02], [0.05]])[: len(errors.gains.M)])
+    loop = closed_loop(controller, conditions, replace(program(controller, conditions), E=gains.E))
+    x = np.array([0.2, 0.3])
+    start = loop.start(plant=x, observer=x, generator=np.zeros(0))
+    trace = simulate_flow(loop.flow, start, duration=2.0, sample_time=0.02, resets=loop.resets(2.0))
+    response = loop.response(trace)
+    (F,), (J,) = (X.floats for X in errors.clocked.vertices), (X.floats for X in errors.clocked.J)
+    more, D = moved(gains, errors.order, len(gains.M) - 2), drives(errors, (0,))[0] @ J
+    z, cut = np.zeros(errors.order), 0
+    z[:2] = response.x[delay]
+    for at, x_hat, u in zip(response.x[delay:], response.x_hat[delay:], response.u[delay:], strict=True):
+        v = np.clip(D @ z, -2, 2)
+        z, cut = J @ z + more * (v - D @ z), cut + (v != D @ z)
+        assert [*z[:2], *z[3:5]] == pytest.approx([*at, *(x_hat - at)], abs=1e-9)
+        assert u[0] == pytest.approx(v, abs=1e-9)
+        z = expm(F * 0.02) @ z
+    assert cut > 5
 
 
 @pytest.mark.parametrize("estimated", [False, True])
@@ -219,6 +251,18 @@ def test_at_limits_the_errors_of_the_program_are_moved_by_its_gain_against_windu
         cut += v != D @ z
         z = expm(F * 0.02) @ (J @ z + more * (v - D @ z))
     assert cut > 5
+
+
+def test_a_gain_against_windup_is_made_where_inputs_are_late(tmp_path: Path) -> None:
+    spec = load_spec(written(tmp_path, more="controller: {rate: largest, gain: 20}", delay=1))
+    controller = design(spec)
+    without = proved(replace(controller, claims=()), asked(spec, replace(controller, claims=())))
+    assert len(controller.claim(SampledLoop).gains.E)
+    assert scaled(controller)["exact"] > 1.2 * scaled(without)["exact"]
+    content = design_certificate(spec, controller)
+    assert not audit(json.dumps(content))[1]
+    content["sampled"]["E"] = []
+    assert audit(json.dumps(content))[1]
 
 
 def test_a_gain_against_windup_is_made_where_K_is_to_stay(

@@ -346,7 +346,7 @@ class _Search:
 def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Iterator[tuple[SampledGains, float]]:
     """Yield gains with one against windup, and what multiple of the starts of a kind is proved with them."""
     for search in _Search.of(controller, asked):
-        for starts in search.starts if not search.missing and not search.loop.gains.delay else ():
+        for starts in search.starts if not search.missing else ():
             if starts.kind == kind:
                 yield from search.against_windup(starts)
 

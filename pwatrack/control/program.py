@@ -113,6 +113,7 @@ class SampledController:
         lengths = {"y": of["q"], "u": of["m"], "x_hat": of["n"], "s_hat": of["N"] - of["n"], "eta_hat": of["p"]}
         lengths |= {"w": of["s"], "copies": 2 * of["s"], "course": 4 * len(self.pace)}
         lengths |= {"past": int((self.windows * np.arange(4, 4 + self.windows.shape[1])).sum()), "late": late * of["m"]}
+        lengths |= {"late_cut": late * of["m"] if len(self.E) else 0}
         lengths |= dict.fromkeys(("before", "wanted", "change"), of["m"]) | {"x_d": of["n"]}
         lengths |= {"g": max(len(self.h), len(self.guards)), "source": of["s"]}
         predicted = of["N"] if self.sampling.corrects else 0

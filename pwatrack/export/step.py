@@ -89,6 +89,7 @@ def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Ste
         Variable("course", "real", 4 * len(routine.pace), "of each set-point: distance to go, speed, acceleration; it"),
         Variable("past", "real", past, "what means are made of"),
         Variable("late", "real", at.delay * at.m, "inputs that wait to be put out, the next one first"),
+        Variable("late_cut", "real", at.before - at.late_cut, "what limits cut off these"),
         Variable("before", "real", at.m, "inputs computed last, limited"),
         Variable("wanted", "real", at.m, "inputs wanted before they were limited"),
         Variable("x_d", "real", at.n, "desired state"),

@@ -111,8 +111,8 @@ class Resets(NamedTuple):
 Places = namedtuple(
     "Places",
     "q m n N p s known delay ahead substeps "
-    "y u x_hat s_hat eta_hat w copies course past late before wanted change x_d g source cut seen moved missed "
-    "going lasting bending made",
+    "y u x_hat s_hat eta_hat w copies course past late late_cut before wanted change x_d g source cut seen moved "
+    "missed going lasting bending made",
 )
 
 
@@ -976,6 +976,10 @@ def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int
         for place in range(at.delay - 1):
             room[at.late + place * at.m + channel] = memory[at.late + (place + 1) * at.m + channel]
         room[at.late + (at.delay - 1) * at.m + channel] = value
+        if len(routine.E) > 0:
+            for place in range(at.delay - 1):
+                room[at.late_cut + place * at.m + channel] = memory[at.late_cut + (place + 1) * at.m + channel]
+            room[at.late_cut + (at.delay - 1) * at.m + channel] = room[at.cut + channel]
     return fine
 
 
@@ -1021,6 +1025,24 @@ def _correct(routine: ControllerArrays, room: Array) -> None:
 
 
 @_as_written
+def _unwind(routine: ControllerArrays, room: Array) -> None:
+    """Move (x̂, ŝ) by what limits cut off the input that is put out."""
+    at = routine.at
+    for a in range(at.N):
+        room[at.x_hat + a] = room[at.x_hat + a] + _sum(routine.E[a], room, at.cut, at.m)
+
+
+@_as_written
+def _unwind_late(routine: ControllerArrays, memory: Array, room: Array) -> None:
+    """Do so for the input that is put out now, which was computed some samples ago."""
+    at = routine.at
+    "3. Against windup."
+    for a in range(at.m):
+        room[at.cut + a] = memory[at.late_cut + a]
+    _unwind(routine, room)
+
+
+@_as_written
 def _act(routine: ControllerArrays, memory: Array, room: Array, new: Any, x: int) -> bool:
     """Put out what the law makes of the state at room[x:], and say whether all of it is finite."""
     at = routine.at
@@ -1033,10 +1055,9 @@ def _act(routine: ControllerArrays, memory: Array, room: Array, new: Any, x: int
             product = routine.K[channel, a] * difference
             value = value + product
         fine = _put_out(routine, memory, room, channel, value, fine)
-    if len(routine.E) > 0:
-        "9. Against windup: what limits cut off moves x_hat."
-        for a in range(at.N):
-            room[at.x_hat + a] = room[at.x_hat + a] + _sum(routine.E[a], room, at.cut, at.m)
+    if len(routine.E) > 0 and at.delay == 0:
+        "9. Against windup."
+        _unwind(routine, room)
     return fine
 
 
@@ -1260,6 +1281,8 @@ def _next(routine: ControllerArrays, memory: Array, room: Array, y: Array, given
                 room[at.w + a] = given[a]
     if len(routine.M) > 0:
         _correct(routine, room)
+        if len(routine.E) > 0 and at.delay > 0:
+            _unwind_late(routine, memory, room)
     if len(routine.h) > 0:
         "4. Cell of x_hat: the first one whose signs are contradicted least."
         for a in range(len(routine.h)):

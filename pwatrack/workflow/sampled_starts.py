@@ -36,7 +36,7 @@ def with_sampled_starts_inside(controller: ProvedController, asked: Asked) -> Pr
     """
     share = _share(controller)
     much = sum(work(one.errors) * (1 + len(one.acts.squares)) for one in controller.claims_of(SampledBounds))
-    if share is None or share >= 1 or much > _MOST or controller.claim(SampledLoop).gains.delay:
+    if share is None or share >= 1 or much > _MOST:
         return controller
     kept, share = _with_gain_against_windup(controller, asked, share)
     if share >= 1:
@@ -79,7 +79,7 @@ def _with_another_gain(controller: ProvedController, asked: Asked, share: float)
     """
     goal, first = asked.words.goals.get(CONTROLLER), controller.claim(SampledLoop).gains
     within = None if asked.room is None else asked.room.around(controller.sizes.state)
-    if within is None or not isinstance(goal, AtLeast) or asked.sampled is None:
+    if within is None or not isinstance(goal, AtLeast) or asked.sampled is None or first.delay:
         return controller, share
     best, whatever = controller, goal.within == "region"
     for gains in _sought(controller, within, asked.sampled):
@@ -118,6 +118,8 @@ def _share(controller: ProvedController) -> float | None:
 
 
 def _wanted(controller: ProvedController) -> str:
-    """Return which starts count."""
+    """Return which starts count: where inputs are late none but x̂ = x is known as the first one acts."""
+    if controller.claim(SampledLoop).gains.delay:
+        return "exact"
     kinds = {one.kind for region in controller.claims_of(SampledRegion) for one in region.room.starts}
     return next((kind for kind in ("ensemble", "run") if kind in kinds), "exact")
