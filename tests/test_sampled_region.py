@@ -26,6 +26,7 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.program import program
 from pwatrack.control.sampled_disturbances import drives
+from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.task import Task
 from pwatrack.lmi import polynomial_region
@@ -33,7 +34,7 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.clocked_region import ClockedRegion
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
-from pwatrack.simulation.closed_loop import closed_loop
+from pwatrack.simulation.closed_loop import Response, closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.workflow.pipeline import asked
 from tests.test_cli import call
@@ -194,11 +195,8 @@ def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
     assert len(gains.E) or of != "against"
 
 
-@pytest.mark.parametrize("estimated", [False, True])
-@pytest.mark.parametrize("delay", [1, 2])
-def test_late_inputs_move_the_estimate_as_they_are_put_out(delay: int, estimated: bool, tmp_path: Path) -> None:
-    """Of one cell, as the first input acts, with x̂ = x: from there z⁺ = J z + T (v − D z) is what the program does."""
-    path = written(tmp_path, more="estimate: input" if estimated else "", delay=delay)
+def run_of_one_cell(path: Path, x: Array, x_hat: Array) -> tuple[SampledErrors, SampledGains, Response]:
+    """What the errors of a loop obey without its cushion, with some gain against windup, and a run of its program."""
     text = "".join(line for line in path.read_text("utf-8").splitlines(True) if "nonlinearities" not in line)
     path.write_text(text, encoding="utf-8")
     spec = load_spec(path)
@@ -206,10 +204,18 @@ def test_late_inputs_move_the_estimate_as_they_are_put_out(delay: int, estimated
     errors, conditions = controller.claim(SampledBounds).errors, spec.scenario.conditions
     gains = replace(errors.gains, E=np.array([[0.01], [-0.02], [0.05]])[: len(errors.gains.M)])
     loop = closed_loop(controller, conditions, replace(program(controller, conditions), E=gains.E))
-    x = np.array([0.2, 0.3])
-    start = loop.start(plant=x, observer=x, generator=np.zeros(0))
+    start = loop.start(plant=x, observer=x_hat, generator=np.zeros(0))
     trace = simulate_flow(loop.flow, start, duration=2.0, sample_time=0.02, resets=loop.resets(2.0))
-    response = loop.response(trace)
+    return errors, gains, loop.response(trace)
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+@pytest.mark.parametrize("delay", [1, 2])
+def test_late_inputs_move_the_estimate_as_they_are_put_out(delay: int, estimated: bool, tmp_path: Path) -> None:
+    """Of one cell, as the first input acts, with x̂ = x: from there z⁺ = J z + T (v − D z) is what the program does."""
+    x = np.array([0.2, 0.3])
+    path = written(tmp_path, more="estimate: input" if estimated else "", delay=delay)
+    errors, gains, response = run_of_one_cell(path, x, x)
     (F,), (J,) = (X.floats for X in errors.clocked.vertices), (X.floats for X in errors.clocked.J)
     more, D = moved(gains, errors.order, len(gains.M) - 2), drives(errors, (0,))[0] @ J
     z, cut = np.zeros(errors.order), 0
@@ -228,18 +234,9 @@ def test_at_limits_the_errors_of_the_program_are_moved_by_its_gain_against_windu
     estimated: bool, tmp_path: Path
 ) -> None:
     """Of one cell z obeys its matrices exactly: the program beside the plant, and z⁺ = J z + T (v − D z)."""
-    path = written(tmp_path, more="estimate: input" if estimated else "", also="disturbance: {v: 0.3}" * estimated)
-    text = "".join(line for line in path.read_text("utf-8").splitlines(True) if "nonlinearities" not in line)
-    path.write_text(text, encoding="utf-8")
-    spec = load_spec(path)
-    controller = design(spec)
-    errors, conditions = controller.claim(SampledBounds).errors, spec.scenario.conditions
-    gains = replace(errors.gains, E=np.array([[0.01], [-0.02], [0.05]])[: len(errors.gains.M)])
-    loop = closed_loop(controller, conditions, replace(program(controller, conditions), E=gains.E))
     load, x, x_hat = 0.3 * estimated, np.array([0.25, 0.3]), np.array([0.3, 0.2])
-    start = loop.start(plant=x, observer=x_hat, generator=np.zeros(0))
-    trace = simulate_flow(loop.flow, start, duration=2.0, sample_time=0.02, resets=loop.resets(2.0))
-    response = loop.response(trace)
+    path = written(tmp_path, more="estimate: input" if estimated else "", also="disturbance: {v: 0.3}" * estimated)
+    errors, gains, response = run_of_one_cell(path, x, x_hat)
     (F,), (J,) = (X.floats for X in errors.clocked.vertices), (X.floats for X in errors.clocked.J)
     more, D = moved(gains, errors.order, len(gains.M) - 2), drives(errors, (0,))[0] @ J
     z, cut = np.zeros(errors.order), 0
@@ -389,7 +386,7 @@ def test_the_faster_an_input_may_change_the_more_is_proved_and_the_program_settl
     tmp_path: Path, pole: tuple[Spec, ProvedController]
 ) -> None:
     size, shares = np.array([0.3, 0.6]), [0.0]
-    for rate in (10, 500):
+    for rate in (10, 50, 500):
         path = written(tmp_path, rate=rate)
         controller = design(load_spec(path))
         shares.append(scaled(controller)["exact"])

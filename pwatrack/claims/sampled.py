@@ -128,10 +128,8 @@ class SampledLoop(SampledClaim):
         yield "sampled loop", self.sentence
         yield "", f"runs with K = {matrix_text(self.gains.K)}, M = {matrix_text(self.gains.M)}"
         if len(self.gains.E):
-            yield (
-                "",
-                f"and x̂ moves by E = {matrix_text(self.gains.E)} times what limits cut off an input, against windup",
-            )
+            E = matrix_text(self.gains.E)
+            yield "", f"and x̂ moves by E = {E} times what limits cut off an input, against windup"
         if self.cheaper is not None:
             norms = map(controller.sizes.norm, (self.cheaper, self.gains.K))
             share = next(norms) / next(norms)

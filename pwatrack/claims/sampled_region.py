@@ -186,6 +186,12 @@ class _Search:
         """Of the loop."""
         return errors_of(self.controller, self.loop.gains)
 
+    @property
+    def own(self) -> list[int]:
+        """Where e and the newest (Δ, σ) are in z."""
+        n, m, N, *_ = self.errors.widths
+        return [*range(n), *range(n + m, n + m + N)]
+
     @cached_property
     def loops(self) -> Loops:
         """The loops in continuous time, which know where loads act."""
@@ -250,7 +256,7 @@ class _Search:
         """The loop of (e, Δ, σ) as if its ticks went on all the time: for short samples nearly what it does."""
         errors, gains, inputs, (n, m, N, *_) = self.errors, self.loop.gains, self.room.inputs, self.errors.widths
         corrects = gains.M @ errors.plant.observed.C.floats / gains.sample_time
-        own = [*range(n), *range(n + m, n + m + N)]
+        own = self.own
         W = beside_loads(errors, tuple(range(m)))[:, n:]
         D, B = np.hstack([gains.K, gains.K @ np.eye(n, N) + W[:, m : m + N]]), errors.plant.B
         seen = [A if errors.plant.loads is None else errors.plant.loads.observed(A) for A in errors.seen]
@@ -282,9 +288,9 @@ class _Search:
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
         """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""
-        left, (n, m, N, *_), gains, inputs = self.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
+        left, (_, m, N, *_), gains, inputs = self.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
         assert left is not None
-        G, room = self.errors.before(starts)[[*range(n), *range(n + m, n + m + N)]], np.maximum(left[inputs], 0.0)
+        G, room = self.errors.before(starts)[self.own], np.maximum(left[inputs], 0.0)
         for faster in _FASTER:
             E = self.continuous.against_windup(G, room, N, _SHARES[0][-1] * self.proof.rate, faster)
             if E is None:
@@ -300,7 +306,7 @@ class _Search:
         """Return the region of the largest multiple that is proved, of a few H."""
         left, (n, m, N, *_), ticks, best = self.left, self.errors.widths, self.ticks, None
         assert left is not None
-        before, own, inputs = self.errors.before(starts), [*range(n), *range(n + m, n + m + N)], len(self.room.inputs)
+        before, own, inputs = self.errors.before(starts), self.own, len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
         if self.loop.gains.delay:  # an input is made of the oldest prediction
             oldest = n + m + (self.errors.predicted - 1) * N

@@ -937,6 +937,15 @@ def _begin(routine: ControllerArrays, room: Array, new: Any) -> None:
 
 
 @_as_written
+def _wait(routine: ControllerArrays, memory: Array, room: Array, queue: int, channel: int, value: float) -> None:
+    """Put a number of an input behind those that wait in a queue."""
+    at = routine.at
+    for place in range(at.delay - 1):
+        room[queue + place * at.m + channel] = memory[queue + (place + 1) * at.m + channel]
+    room[queue + (at.delay - 1) * at.m + channel] = value
+
+
+@_as_written
 def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int, value: float, fine: bool) -> bool:
     """Limit the value that an input is to have, put it behind those that wait, and put the first of them out."""
     at = routine.at
@@ -973,13 +982,9 @@ def _put_out(routine: ControllerArrays, memory: Array, room: Array, channel: int
         room[at.u + channel] = value
     else:
         room[at.u + channel] = memory[at.late + channel]
-        for place in range(at.delay - 1):
-            room[at.late + place * at.m + channel] = memory[at.late + (place + 1) * at.m + channel]
-        room[at.late + (at.delay - 1) * at.m + channel] = value
+        _wait(routine, memory, room, at.late, channel, value)
         if len(routine.E) > 0:
-            for place in range(at.delay - 1):
-                room[at.late_cut + place * at.m + channel] = memory[at.late_cut + (place + 1) * at.m + channel]
-            room[at.late_cut + (at.delay - 1) * at.m + channel] = room[at.cut + channel]
+            _wait(routine, memory, room, at.late_cut, channel, room[at.cut + channel])
     return fine
 
 

@@ -42,7 +42,9 @@ def with_sampled_starts_inside(controller: ProvedController, asked: Asked) -> Pr
     if share >= 1:
         return kept
     made, share = _with_another_gain(controller, asked, share)
-    return kept if made is controller else made if share >= 1 else _with_gain_against_windup(made, asked, share)[0]
+    if made is controller:
+        return kept
+    return made if share >= 1 else _with_gain_against_windup(made, asked, share)[0]
 
 
 def _with_gain_against_windup(
@@ -53,7 +55,7 @@ def _with_gain_against_windup(
     The same where none has more of them to speak of.
     """
     best, least = None, share * _MORE
-    for gains, more in against_windup(controller, asked, _wanted(controller)):
+    for gains, more in against_windup(controller, asked, _wanted(controller.claim(SampledRegion))):
         if more > least:
             best, least = gains, more
         if least >= 1:
@@ -112,14 +114,13 @@ def _share(controller: ProvedController) -> float | None:
             return None
         if region.from_this_start(controller) or any(one.starts.kind == "every" for one in region.found):
             return 1.0
-        scales = [one.scale(left) for one in region.found if one.starts.kind == _wanted(controller)]
+        wanted = _wanted(region)
+        scales = [one.scale(left) for one in region.found if one.starts.kind == wanted]
         return max(scales, default=0.0)
     return None
 
 
-def _wanted(controller: ProvedController) -> str:
+def _wanted(region: SampledRegion) -> str:
     """Return which starts count: where inputs are late none but x̂ = x is known as the first one acts."""
-    if controller.claim(SampledLoop).gains.delay:
-        return "exact"
-    kinds = {one.kind for region in controller.claims_of(SampledRegion) for one in region.room.starts}
+    kinds = {one.kind for one in region.room.starts} if not region.late else ()
     return next((kind for kind in ("ensemble", "run") if kind in kinds), "exact")

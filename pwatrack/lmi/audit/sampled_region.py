@@ -6,7 +6,7 @@ from itertools import chain
 from itertools import product as choices
 from typing import Any
 
-from .balls import Ball, stacked, zero
+from .balls import Ball, stacked, unit, zero
 from .bounds import SIGNALS, Loop
 from .clocked import growing, predicted
 from .matrices import AuditFault, added, definite, identity
@@ -93,11 +93,7 @@ def moved(errors: AuditedErrors, k: int) -> Ball:
 
     What is put out is nu, without delay less U (s_hat - s).
     """
-    n, m, N, E = errors.n, errors.m, errors.N, errors.E.column(k)
-    nu = [E.row(n + load).times(Fraction(not errors.late)) for load in range(len(errors.at))]
-    rows = [Ball([[Fraction(j == k)]]) for j in range(m)]
-    rows = [
-        reduce(Ball.__add__, (v for v, at in zip(nu, errors.at, strict=True) if at == j), row)
-        for j, row in enumerate(rows)
-    ]
-    return stacked(zero(n, 1), *rows, E, zero(errors.order - n - m - N, 1))
+    n, m, N, E, nu = errors.n, errors.m, errors.N, errors.E.column(k), unit(errors.m, k)
+    if errors.at and not errors.late:
+        nu = nu + errors.U @ E.rows(n, N)
+    return stacked(zero(n, 1), nu, E, zero(errors.order - n - m - N, 1))

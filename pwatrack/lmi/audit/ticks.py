@@ -97,6 +97,11 @@ class AuditedErrors:
         return [columns.index(unit) for unit in units]
 
     @property
+    def U(self) -> Ball:
+        """Of which input each load that only acts there is a part."""
+        return Ball([[Fraction(k == at) for at in self.at] for k in range(self.m)])
+
+    @property
     def followed(self) -> list[int]:
         """Entries of what the nominal loop is off x_d that act: all where one of some corners runs."""
         return [*range(self.n)] if self.corners else self.at_rows
@@ -188,8 +193,7 @@ class AuditedErrors:
         nu = self.K @ (e + seen.rows(0, self.n))
         sigma = seen.rows(self.n, self.N)
         if self.estimates is None:
-            U = Ball([[Fraction(k == at) for at in self.at] for k in range(self.m)])
-            return [(nu - U @ sigma if self.late and self.at else nu, delta)]
+            return [(nu - self.U @ sigma if self.late and self.at else nu, delta)]
         epsilon = stacked(sigma, delta)
         found = list[tuple[Ball, Ball]]()
         for D, more, after in self.estimates.vertices(self.period):
