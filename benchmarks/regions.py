@@ -25,7 +25,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.headroom import InputConstraint
-from pwatrack.control.sampled_disturbances import drives
+from pwatrack.control.sampled_disturbances import cut_off, drives
 from pwatrack.control.synthesis import Search
 from pwatrack.control.task import Task
 from pwatrack.lmi.clocked_region import ClockedRegion
@@ -177,10 +177,10 @@ def sampled(name: str, starts: int, random: np.random.Generator) -> tuple[int, i
     """
     controller = design(load_spec(f"specs/{name}.yaml"))
     claim, errors = controller.claim(SampledRegion), controller.claim(SampledBounds).errors
-    system, n, inputs = errors.clocked, len(controller.plant.B), claim.room.inputs
+    system, inputs = errors.clocked, claim.room.inputs
     flows = np.array([expm(F.floats * float(system.period) / system.parts / 2) for F in system.vertices])
     J, R = system.J[0].floats, np.eye(errors.order) if system.between is None else system.between.floats
-    D, places, tried, grown, cut, last = drives(errors, inputs) @ J, [n + k for k in inputs], 0, 0, 0, 0.0
+    D, T, tried, grown, cut, last = drives(errors, inputs) @ J, cut_off(errors).floats[:, inputs], 0, 0, 0, 0.0
     for one in claim.found:
         assert isinstance(one.held, ClockedRegion)
         P, most = one.held.form, np.array(one.held.sizes)
@@ -192,8 +192,7 @@ def sampled(name: str, starts: int, random: np.random.Generator) -> tuple[int, i
             w = z @ D.T
             off = np.clip(w, -most, most) - w
             cut += int((off != 0).any(axis=1).sum())
-            z = z @ J.T
-            z[:, places] += off
+            z = z @ J.T + off @ T.T
             for half in range(2 * system.parts):
                 mode = random.integers(len(flows), size=len(z))
                 ends = np.einsum("fij,sj->fsi", flows, z[worst])

@@ -24,7 +24,7 @@ from pwatrack.control.bounds import Form, Loops
 from pwatrack.control.candidates import short
 from pwatrack.control.controller import Asked, ProvedController, Row
 from pwatrack.control.headroom import Headroom, Starts
-from pwatrack.control.sampled_disturbances import beside_loads, drives
+from pwatrack.control.sampled_disturbances import beside_loads, cut_off, drives
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.words import Words
@@ -229,20 +229,11 @@ class _Search:
             near=floats(self.proof.P[0].P),
             knots=_FINER * (len(self.proof.P) // system.parts - 1),
             places=tuple(n + k % m for k in self.limited),
-            T=self.moves.part(range(self.errors.order), [k % m for k in self.limited]),
+            T=cut_off(self.errors).part(range(self.errors.order), [k % m for k in self.limited]),
             D=BallMatrix.of(put_out) @ system.J[0],
             before=BallMatrix.of(put_out * (np.array(self.limited) >= m)[:, None]),
             rate=self.proof.rate,
         )
-
-    @property
-    def moves(self) -> BallMatrix:
-        """What z is moved by, (order, m), for what is cut off an input: x̂ and ŝ by E, and ν so that v is put out."""
-        n, m, N, *_ = self.errors.widths
-        moved = np.zeros((self.errors.order, m))
-        moved[n + m : n + m + N] = self.loop.gains.into
-        into, nu = BallMatrix.of(moved), BallMatrix.of(np.eye(self.errors.order)[:, n : n + m])
-        return into + nu @ (BallMatrix.of(np.eye(m)) - BallMatrix.of(drives(self.errors, range(m))) @ into)
 
     @property
     def limited(self) -> tuple[int, ...]:

@@ -190,6 +190,15 @@ def drives(errors: SampledErrors, inputs: Sequence[int]) -> Array:
     return rows
 
 
+def cut_off(errors: SampledErrors) -> BallMatrix:
+    """Return what z is moved by for 1 that is cut off an input, (order, m): x̂ and ŝ by E, and ν so that it is so."""
+    n, m, N, *_ = errors.widths
+    moved = np.zeros((errors.order, m))
+    moved[n + m : n + m + N] = errors.gains.into
+    into, nu = BallMatrix.of(moved), BallMatrix.of(np.eye(errors.order)[:, n : n + m])
+    return into + nu @ (BallMatrix.of(np.eye(m)) - BallMatrix.of(drives(errors, range(m))) @ into)
+
+
 def beside_loads(errors: SampledErrors, inputs: Sequence[int]) -> Array:
     """Return what is taken off ν for loads, where it is not in ν: see `sampled_error`."""
     (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
