@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from pwatrack.export.notation import LANGUAGES
+from pwatrack.export.notation import LANGUAGES, Numbers
 from pwatrack.report.terminal import compiling, console, refusals
 
 Set = Annotated[
@@ -21,6 +21,7 @@ Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goe
 SampleTime = Annotated[float | None, typer.Option("--sample-time", metavar="H", help="In s, instead of the spec's.")]
 Prefix = Annotated[str | None, typer.Option(help="Prefix of all names.", show_default="from the spec's name")]
 Single = Annotated[bool, typer.Option("--float32", help="Compute in single floats.")]
+Whole = Annotated[bool, typer.Option("--int32", help="Compute in whole numbers of 32 bits; what they round is proved.")]
 From = Annotated[Literal["inside", "outside"], typer.Option(help="Where the reference comes from.")]
 Unproved = Annotated[bool, typer.Option("--unproved", help="Export what is not proved, too.")]
 Failed = Annotated[bool, typer.Option("--failed", help="Export the controller of a run that failed, too.")]
@@ -36,17 +37,20 @@ def _command(to: str) -> Callable[..., None]:
         sample_time: SampleTime = None,
         name: Prefix = None,
         single: Single = False,
+        whole: Whole = False,
         reference: From = "inside",
         unproved: Unproved = False,
         failed: Failed = False,
     ) -> None:
+        if single and whole:
+            raise typer.BadParameter("numbers are of one kind: --float32 or --int32", param_hint="--int32")
         asked = {"target": target, "name": name, "unproved": unproved, "failed": failed}
-        _export(to, out, parameters, sample_time, reference, asked, single=single)
+        kind: Numbers = "int32" if whole else "float32" if single else "float64"
+        _export(to, out, parameters, sample_time, reference, asked, numbers=kind)
 
-    if not LANGUAGES[to].single:
-        known = signature(command)
-        left = [each for name, each in known.parameters.items() if name != "single"]
-        command.__signature__ = known.replace(parameters=left)  # type: ignore[attr-defined]
+    known, offered = signature(command), {"single": "float32", "whole": "int32"}
+    left = [each for name, each in known.parameters.items() if offered.get(name, "float64") in LANGUAGES[to].numbers]
+    command.__signature__ = known.replace(parameters=left)  # type: ignore[attr-defined]
     return command
 
 
@@ -94,8 +98,5 @@ def _export(
         asked |= {"parameters": assignments(parameters or []), "sample_time": sample_time}
         task = ExportTask(given=reference == "outside", **asked)
         with compiling(console(stderr=True)):
-            if to == "fmu":
-                said = "\n".join(export_fmu(task, out, **options))
-            else:
-                said = f"Code in {out}/: {', '.join(export(to, task, out, **options))}"
-        typer.echo(said)
+            said = export_fmu(task, out, **options) if to == "fmu" else export(to, task, out, **options)
+        typer.echo("\n".join(said))

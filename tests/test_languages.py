@@ -17,7 +17,8 @@ def test_every_language_is_a_command_and_a_module_that_writes(name: str) -> None
     said = CliRunner().invoke(app, ["export", name, "--help"], env={"COLUMNS": "200", "TERM": "dumb"})
     assert said.exit_code == 0
     assert language.help in " ".join(said.output.split())
-    assert ("--float32" in said.output.partition("Example")[0]) == language.single
+    options = said.output.partition("Example")[0]
+    assert ["float64", *(kind for kind in ("float32", "int32") if f"--{kind}" in options)] == [*language.numbers]
 
 
 def test_a_statement_that_no_language_has_is_refused() -> None:

@@ -15,7 +15,8 @@ from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, Problem
 from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
 from pwatrack.export.fmu_models import controller_model, plant_model
-from pwatrack.export.notation import LANGUAGES
+from pwatrack.export.notation import LANGUAGES, Numbers
+from pwatrack.export.rounding import of_run
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
 from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
@@ -42,10 +43,25 @@ class Subject:
     unproved: tuple[str, ...]  # what of it is not proved
     vector: Vector  # what it reads in a test
     spec: Spec | None  # if that is there
+    controller: ProvedController | None = None  # likewise
 
     def source(self, name: str, *, given: bool, single: bool = False) -> Source:
         """Return what its code is written from."""
         return Source(file=self.file, name=name, single=single, given=given, unproved=self.unproved)
+
+    def counted(self, code: Source) -> Source:
+        """Return what code in whole numbers of 32 bits is written from, with what rounding makes of its bounds.
+
+        Raises InvalidSpec if its spec is not at hand, OutsideTheory or CheckFailed if it is not made, or not proved.
+        """
+        if self.spec is None or self.controller is None:
+            raise InvalidSpec("--int32 needs the ranges of all numbers in a run: export the spec, or its run folder")
+        spec, sampling, end = self.spec, code.program.sampling, self.controller.trajectory.exosystem.end
+        last = min(spec.scenario.duration, np.inf if end is None else end)
+        t = sampling.sample_time * np.arange(int(last / sampling.sample_time) + 1)
+        given = _outside(self.controller, self.file, t) if code.given else np.zeros((len(t), 0))
+        rounding = of_run(self.controller, code, replace(code, given=False), given)
+        return replace(code, whole=rounding.whole, rounding=rounding.sentence(spec.words))
 
     @property
     def beside(self) -> dict[str, str]:
@@ -77,17 +93,20 @@ class ExportTask:
         return self.target / CONTROLLER if self.target.is_dir() else self.target
 
 
-def export(to: str, task: ExportTask, out: Path, *, single: bool) -> list[str]:
-    """Write a controller in one of `LANGUAGES` to a folder, and return the names of the files.
+def export(to: str, task: ExportTask, out: Path, *, numbers: Numbers = "float64") -> list[str]:
+    """Write a controller in one of `LANGUAGES` to a folder; return in sentences what was written, and what is proved.
 
     Raises InvalidSpec if it has no sample time, or CheckFailed if it is not proved or failed, unless that is exported.
     """
     subject = subject_of(task)
-    code = subject.source(prefix(task.name or subject.file.name), single=single, given=task.given)
+    name, single = prefix(task.name or subject.file.name), numbers == "float32"
+    code = subject.source(name, single=single, given=task.given)
+    code = subject.counted(code) if numbers == "int32" else code
     try:
-        return [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
+        names = [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
     except OSError as error:
         raise unwritable(out, error) from None
+    return [f"Code in {out}/: {', '.join(names)}", *filter(None, [code.rounding])]
 
 
 def subject_of(task: ExportTask) -> Subject:
@@ -145,7 +164,8 @@ def _simulated(
     file = parsed(made.controller, spec.path)
     y, t = z[:steps, at.y], h * np.arange(min(steps, len(z)))
     w = _outside(controller, file, t) if given else np.zeros((len(y), 0))
-    return Subject(file, made.certificate, tuple(file.open), Vector(y, w, "the exact simulation of its spec"), spec)
+    vector = Vector(y, w, "the exact simulation of its spec")
+    return Subject(file, made.certificate, tuple(file.open), vector, spec, result.controller)
 
 
 def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
@@ -181,7 +201,7 @@ def _stored(path: Path, given: bool) -> Subject:
         controller = pipeline.design(again, growing=True)
         again, runs = check_same(again, controller, file)
         found = _simulated(again, controller, runs, given, _STEPS)
-        return Subject(file, text.decode(), tuple(unproved), found.vector, spec)
+        return replace(found, file=file, certificate=text.decode(), unproved=tuple(unproved), spec=spec)
     q, s = len(file.plant.outputs), len(file.program.outside.given)
     t = np.arange(_STEPS)[:, None]
     y, w = 0.1 * np.sin(0.01 * t * (1 + np.arange(q))), 0.1 * np.cos(0.01 * t * (1 + np.arange(s)))

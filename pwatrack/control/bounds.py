@@ -53,7 +53,18 @@ _MUCH_WORK = 100_000  # from here on two values of a are tried, not three
 
 Loop = Literal["joint", "controller", "observer"]
 Acts = Literal[
-    "disturbance", "noise", "start", "input", "deviation", "moved", "nominal", "drawn", "cell", "eta", "load"
+    "disturbance",
+    "noise",
+    "start",
+    "input",
+    "deviation",
+    "moved",
+    "nominal",
+    "drawn",
+    "cell",
+    "eta",
+    "load",
+    "rounding",
 ]
 Channel = tuple[Acts, int]
 Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive", "change"], int]

@@ -19,6 +19,7 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("eta", k)           d on the k-th entry of δ at a tick
     ("start", k)         d times what z may be before the first tick of a run
     ("load", k)          d on the k-th entry of s just before a tick: (e, σ_i) − (X ε_k, ε_k) d, then the tick
+    ("rounding", 0)      what rounding adds, as far as V^½ = 1 of each of its tubes: see `export.rounding`
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
 Where λ times as much time passes as the program counts, in which e' is λ times as large and Δ' has (1 − λ) of it more,
@@ -95,6 +96,8 @@ def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where
         where: 0 for substeps in which it is known not to act, (K,).
     """
     step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
+    if channel[0] == "rounding":
+        return np.asarray(np.sqrt(d))
     if tube.summed and tube.b:
         ticks = scipy.signal.lfilter([1.0], [1.0, -np.sqrt(1 - tube.b)], np.sqrt(d[:: gains.substeps]))
         return np.asarray(np.repeat(ticks, gains.substeps)[: len(d)] * OVER_POWERS)
@@ -122,11 +125,7 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
     (kind, k), (n, m, N, *_), d, order = channel, errors.widths, errors.predicted, errors.order
     nothing, first, rest = zero(order, 1), n + m + d * N, zero(sum(errors.more), 1)
     if kind == "noise":
-        M, nothing_yet = BallMatrix.of(errors.gains.M[:, [k]]), zero(sum(errors.more[1:]), 1)
-        put_out = errors.put_out(zero(n, 1), zero(N, 1) if errors.gains.delay else M, nothing_yet)
-        others = zero(order - n - m - N - sum(errors.more), 1)
-        kicks = [above(zero(n, 1), nu, M, others, rest) for nu, rest in put_out]
-        return Drive(held=nothing, between=nothing, ticks=kicks)
+        return Drive(held=nothing, between=nothing, ticks=corrected(errors, BallMatrix.of(errors.gains.M[:, [k]])))
     if kind == "eta":
         kick = _unit(order, order - errors.more[-1] + k)
         return Drive(held=nothing, between=nothing, ticks=[kick] * len(errors.ticks))
@@ -151,6 +150,14 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
     if kind in ("input", "cell"):
         return Drive(held=_unit(order, n + k), between=nothing)
     return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)], rest), between=nothing)
+
+
+def corrected(errors: SampledErrors, more: BallMatrix) -> list[BallMatrix]:
+    """Return what z is more after a tick at which (x̂, ŝ) becomes `more`, (N, 1), than it should."""
+    n, m, N, *_ = errors.widths
+    put_out = errors.put_out(zero(n, 1), zero(N, 1) if errors.gains.delay else more, zero(sum(errors.more[1:]), 1))
+    others = zero(errors.order - n - m - N - sum(errors.more), 1)
+    return [above(zero(n, 1), nu, more, others, rest) for nu, rest in put_out]
 
 
 def row(errors: SampledErrors, form: Form) -> BallMatrix:

@@ -1,6 +1,7 @@
 """A controller in C99: header and source, and beside them a test vector, build files and a page of advice."""
 
 import re
+from collections.abc import Set
 from pathlib import Path
 from textwrap import indent
 from typing import Any
@@ -10,23 +11,34 @@ from numpy.typing import NDArray
 
 from pwatrack.export.controller import Controller
 from pwatrack.export.notation import Language, most, names, printed
-from pwatrack.export.source import Source, Vector, template, write_texts
+from pwatrack.export.reading import run
+from pwatrack.export.source import Source, Vector, said, template, write_texts
 from pwatrack.export.step import PRODUCT, Kind, Step, Variable
 
 FLAGS = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -ffp-contract=off"
 _WIDTHS = {True: (0, 16, 32), False: (0, 1, 16, 32, 64)}  # of FLT_EVAL_METHOD: these leave floats, or doubles, alone
 _BESIDE = {"main.c": "c_main.c", "Makefile": "c_makefile", "CMakeLists.txt": "c_cmake.txt", "README.md": "c_readme.md"}
+_FLOATS = """Every bit is that of the simulation, whatever the level of optimization is: the source itself keeps
+  the compiler from fusing products with sums, and does not compile with `-ffast-math`."""
+_WHOLE = """All numbers are whole ones of 32 bits, their sums of 64: no float is needed. What 1 of a signal is stands in
+  the header. What is out of 32 bits is cut off at their ends, and refused."""
 
 
 def write(source: Source, vector: Vector, out: Path) -> list[str]:
     """Write all files to a folder and return their names."""
-    controller, name = Controller(source.file, single=source.single), source.name
-    y, w = vector.y.astype(source.real), vector.w.astype(source.real)
-    u = [controller.step(y[k], w[k] if source.given else None) for k in range(len(y))]
+    name, whole = source.name, source.whole
+    if whole is None:
+        controller = Controller(source.file, single=source.single)
+        y, w = vector.y.astype(source.real), vector.w.astype(source.real)
+        u = np.array([controller.step(y[k], w[k] if source.given else None) for k in range(len(y))])
+    else:
+        y = whole.counts("y", vector.y)
+        w = whole.counts("w", vector.w) if source.given else np.zeros((len(y), 0))
+        u = run(whole.step, y, w)["u"]
     texts = {f"{name}.h": header(source), f"{name}.c": code(source)}
     values = {"name": name, "upper": name.upper(), "flags": FLAGS, **_advice(source, vector)}
     beside = {file: template(form, **values) for file, form in _BESIDE.items()}
-    arrays = {"y": y, "u": np.array(u)} | ({"w": w} if source.given else {})
+    arrays = {"y": y, "u": u} | ({"w": w} if source.given else {})
     return write_texts(texts | {"vector.h": _vector(source, arrays)} | beside, out)
 
 
@@ -38,7 +50,7 @@ def header(source: Source) -> str:
         f"State        {state} bytes",
         f"Constants    {constants} bytes",
         f"One step     at most {multiplications} products, quotients and roots, {additions} sums,"
-        f" {comparisons} comparisons of floats",
+        f" {comparisons} comparisons of {'floats' if source.whole is None else 'whole numbers'}",
     )
     about = source.about(sizes, "made inside; NULL will do")
     values = {
@@ -50,7 +62,9 @@ def header(source: Source) -> str:
         "s": len(source.program.given),
         "state_bytes": state,
         "constant_bytes": constants,
-        "real": "float" if source.single else "double",
+        "real": _real(source),
+        "units": _units(source),
+        "refused": _refused(source),
         "lines": "\n".join(f"    {_declared(source, variable)}" for variable in _state(source.step)),
     }
     return template("c_header.h", **values)
@@ -70,13 +84,14 @@ def code(source: Source) -> str:
         "upper": source.name.upper(),
         "real": real,
         "zero": language.words["0.0"],
-        "math": "#include <math.h>\n" * ("sqrt" in used),
         "m": source.program.sizes["m"],
-        "widths": " && ".join(f"(FLT_EVAL_METHOD != {method})" for method in _WIDTHS[source.single]),
+        **_arithmetic(source, used),
         "constants": "\n".join(_constant(source, name) for name in found.constants),
         "sizes": " + ".join(f"sizeof({name})" for name in found.constants),
         "own": "\n".join(
-            f"    {'ROUNDED ' * (v.name == PRODUCT)}{_declared(source, v)}" for v in found.own if v.name in used
+            f"    {'ROUNDED ' * (v.name == PRODUCT and v.kind == 'real')}{_declared(source, v)}"
+            for v in found.own
+            if v.name in used
         ),
         "hold": lines(found.hold, 1),
         "body": lines(found.body, 1),
@@ -89,8 +104,45 @@ def code(source: Source) -> str:
     return template("c_source.c", **values)
 
 
+def _real(source: Source) -> str:
+    return "int32_t" if source.whole is not None else "float" if source.single else "double"
+
+
+def _refused(source: Source) -> str:
+    return "not finite" if source.whole is None else "out of range"
+
+
+def _units(source: Source) -> str:
+    """Return macros of what 1 of a signal is."""
+    if source.whole is None:
+        return ""
+    plant = source.file.plant
+    names = [("Y", "y", plant.outputs), ("U", "u", plant.inputs), ("X_HAT", "x_hat", plant.states)]
+    names += [("REF", "w", list(source.program.given))] * source.given
+    lines = [
+        f"#define {source.name.upper()}_{short}{k}_UNIT {float(unit)!r} /* {said(shown)} */"
+        for short, kind, each in names
+        for k, (unit, shown) in enumerate(zip(source.whole.units[kind], source.signals(each), strict=True))
+    ]
+    return "\n/* What 1 of a number is. */\n" + "\n".join(lines) + "\n"
+
+
+def _arithmetic(source: Source, used: Set[str]) -> dict[str, str]:
+    """Return what a source needs for its numbers, and how they are rounded."""
+    if source.whole is not None:
+        operations = template("c_whole.c") + template("c_steps.c") * ("stepped" in used)
+        return {"headers": "", "arithmetic": "", "operations": operations, "rounded": "sums have 64 bits"}
+    widths = " && ".join(f"(FLT_EVAL_METHOD != {method})" for method in _WIDTHS[source.single])
+    return {
+        "headers": "#include <float.h>\n" + "#include <math.h>\n" * ("sqrt" in used),
+        "arithmetic": template("c_floats.c", widths=widths),
+        "operations": "",
+        "rounded": "each product and each sum is rounded by itself",
+    }
+
+
 def initialiser(values: Any, *, single: bool = False) -> str:
-    """Return an array as a C initialiser; each number is the shortest decimal that gives it.
+    """Return an array as a C initialiser; each number is the shortest decimal that gives it, or is whole.
 
     Example:
         >>> initialiser([[1.0, 0.1], [1e-300, 2.0]]), initialiser(0.1, single=True)
@@ -98,26 +150,28 @@ def initialiser(values: Any, *, single: bool = False) -> str:
     """
     if np.ndim(values):
         return "{" + ", ".join(initialiser(value, single=single) for value in values) + "}"
+    if np.asarray(values).dtype.kind == "i":
+        return str(int(values))
     text = str((np.float32 if single else np.float64)(values))
     return (text if re.search(r"[.e]", text) else f"{text}.0") + "f" * single
 
 
 def _bytes(source: Source) -> tuple[int, int]:
     """Return the bytes of the state, which are a multiple of those of a float, and of the constants."""
-    real = 4 if source.single else 8
-    widths: dict[Kind, int] = {"real": real, "whole": 4, "side": 1, "flag": 4}
+    real = 4 if source.single or source.whole is not None else 8
+    widths: dict[Kind, int] = {"real": real, "wide": 8, "whole": 4, "side": 1, "flag": 4}
     state = sum((variable.length or 1) * widths[variable.kind] for variable in _state(source.step))
     return -(-state // real) * real, sum(v.size * widths[kind] for kind, v in source.step.constants.values())
 
 
 def _operations(found: Step) -> tuple[int, int, int]:
     reals = {"y", "u", "given", *(name for name, (kind, _) in found.constants.items() if kind == "real")}
-    counts = most(found.body, reals | {v.name for v in (*found.kept, *found.own) if v.kind == "real"})
+    counts = most(found.body, reals | {v.name for v in (*found.kept, *found.own) if v.kind in ("real", "wide")})
     return counts["*"] + counts["/"], counts["+"] + counts["-"], counts["<"]
 
 
 def _types(source: Source) -> dict[Kind, str]:
-    return {"real": f"{source.name}_real", "whole": "int32_t", "side": "int8_t", "flag": "uint32_t"}
+    return {"real": f"{source.name}_real", "wide": "int64_t", "whole": "int32_t", "side": "int8_t", "flag": "uint32_t"}
 
 
 def _state(found: Step) -> tuple[Variable, ...]:
@@ -150,6 +204,7 @@ def _language(source: Source) -> Language:
         within="/* within */",
         truth="{} != 0u",
         words={"and": "&&", "or": "||", "not": "!", "True": "1u", "False": "0u", "sqrt": f"sqrt{suffix}"}
+        | {"wide": "(int64_t)", **({} if source.whole is None else {"0.0": "0"})}
         | {text: f"{text}{suffix}" for text in ("0.0", "1.0")},
         remainder="{} % {}",
         name=name,
@@ -205,4 +260,6 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
         "late": f", and that it is put out {late} samples late" if late else "",
         "first": source.routine.at.x_hat,
         "vector": vector.origin,
+        "refused": _refused(source),
+        "every_bit": _FLOATS if source.whole is None else _WHOLE,
     }

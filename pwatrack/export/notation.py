@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from textwrap import indent
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from pwatrack.export.source import Source, Vector
+
+Numbers = Literal["float64", "float32", "int32"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +42,7 @@ class Language:
     once: str = ""  # a loop of one pass, from index, number and body, not indented; "" where it is a loop, too
 
 
+_CALLED = ("sqrt", "wide", "nearest", "narrowed", "stepped")
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">="}
 
@@ -158,8 +161,8 @@ class _Printer:
                 return f"{self.inner(left)} {self.word(_COMPARISONS[type(op)])} {self.inner(right)}"
             case ast.BoolOp(op=op, values=values):
                 return f" {words['and' if isinstance(op, ast.And) else 'or']} ".join(map(self.inner, values))
-            case ast.Call(func=ast.Name(id="sqrt"), args=[square]):
-                return f"{self.word('sqrt')}({self.value(square)})"
+            case ast.Call(func=ast.Name(id=called), args=args) if called in _CALLED:
+                return f"{self.word(called)}({', '.join(map(self.value, args))})"
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return f"{words['not']}{self.inner(operand)}"
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -195,7 +198,7 @@ class Target:
     module: str  # of this room, where `write` is
     help: str  # what is written, in a sentence
     example: str  # arguments of a command that writes it
-    single: bool = True  # whether it may be in single floats
+    numbers: tuple[Numbers, ...] = ("float64", "float32")  # what it may compute in
 
     @property
     def write(self) -> Callable[["Source", "Vector", Path], list[str]]:
@@ -209,6 +212,7 @@ LANGUAGES = {
         module="c",
         help="Write a controller in C99, with a test vector of its simulation.",
         example="runs/two_mass_machine --out firmware --float32",
+        numbers=("float64", "float32", "int32"),
     ),
     "st": Target(
         module="structured_text",
@@ -219,6 +223,6 @@ LANGUAGES = {
         module="matlab",
         help="Write a controller for MATLAB and Octave: a file of all its matrices, and a function that steps it.",
         example="runs/two_mass_machine --out matlab",
-        single=False,
+        numbers=("float64",),
     ),
 }

@@ -14,6 +14,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.program import SampledController
 from pwatrack.errors import InvalidSpec
+from pwatrack.export.fixed_point import FixedPoint
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.step import Step, step
 from pwatrack.export.stored import runs
@@ -51,6 +52,8 @@ class Source:
     single: bool  # whether in single floats
     given: bool  # whether the reference comes from outside
     unproved: tuple[str, ...]  # what is not proved of it, in sentences
+    whole: FixedPoint | None = None  # what it is in whole numbers; None for floats
+    rounding: str = ""  # what their rounding makes of its bounds, in a sentence
 
     @property
     def real(self) -> Any:
@@ -73,9 +76,14 @@ class Source:
     @cached_property
     def step(self) -> Step:
         """What it does in a sample time."""
+        return step(self.routine, self.starts) if self.whole is None else self.whole.step
+
+    @property
+    def starts(self) -> dict[str, Array]:
+        """What x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`."""
         kept, at = memory(self.program, *self.file.started, self.real)["memory"], self.program.places
         starts = {"start_x_hat": kept[at["x_hat"].start : at["s_hat"].stop], "start_eta_hat": kept[at["eta_hat"]]}
-        return step(self.routine, starts if self.given else {**starts, "start_w": kept[at["w"]]})
+        return starts if self.given else {**starts, "start_w": kept[at["w"]]}
 
     @property
     def entries(self) -> str:
@@ -87,7 +95,8 @@ class Source:
         """What is proved of its error, in sentences; last of the loop that is sampled."""
         assert self.file.program is not None
         said = [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
-        return [*said, f"The loop that is sampled: {self.file.program.proved}."]
+        found = [*said, f"The loop that is sampled: {self.file.program.proved}."]
+        return [*found, self.rounding] if self.rounding else found
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:
         """Return what stands at the top: what it is, what is proved, digests, lines on its size, signals."""
@@ -181,7 +190,7 @@ def said(text: str) -> str:
     return text
 
 
-_ASCII = {"°": "deg", "·": "*", "⋅": "*", "×": "x", "−": "-", "–": "-", "Ω": "Ohm", "⁄": "/", "\u0307": "'"}
+_ASCII = {"°": "deg", "·": "*", "⋅": "*", "×": "x", "−": "-", "–": "-", "Ω": "Ohm", "⁄": "/", "≤": "<=", "\u0307": "'"}
 
 
 def in_ascii(text: str) -> str:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays
 
 PRODUCT = "product"  # every product of floats is assigned to it before it is added to anything
-Kind = Literal["real", "whole", "side", "flag"]  # sides are -1, 0, 1; whole numbers have 32 bits
+Kind = Literal["real", "wide", "whole", "side", "flag"]  # sides are -1, 0, 1; wide numbers have 64 bits, whole ones 32
 _ORDER = """
 H h observer C M E generator x_d u_ff K guards start_x_hat start_eta_hat turn start_w piece_values
 signs sides piece_tick piece_start piece_length piece_value low high change quantum pace lowest highest timing weights
@@ -37,7 +37,7 @@ _NUMBERS = {
     "piece": "pieces of the reference so far",
     "cell": "cell of x_hat, from 0",
     "cell_d": "cell of x_d, from 0",
-    "status": "0; 1: the reference has ended; -1: not finite, and the last input is held; -2: overwritten, and u is 0",
+    "status": "0; 1: the reference has ended; -1: refused, and the last input is held; -2: overwritten, and u is 0",
 }
 _FLOOR = """\
 product = total

@@ -9,7 +9,7 @@
 #define @upper@_REFERENCE @s@
 #define @upper@_STATE_BYTES @state_bytes@
 #define @upper@_CONSTANT_BYTES @constant_bytes@
-
+@units@
 typedef @real@ @name@_real;
 
 typedef struct {
@@ -23,7 +23,7 @@ extern "C" {
 /* What a step returns. */
 #define @upper@_OK 0
 #define @upper@_ENDED 1       /* the reference has ended: it stays as it is */
-#define @upper@_REFUSED (-1)  /* a null pointer, or a number that is not finite: state kept, last input held */
+#define @upper@_REFUSED (-1)  /* a null pointer, or a number that is @refused@: state kept, last input held */
 #define @upper@_NOT_READY (-2) /* no init before, or the state was overwritten: u = 0 */
 
 /* Make a state ready: @name@_reset does the same, to start anew. -1 for a null pointer. */

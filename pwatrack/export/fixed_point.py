@@ -1,0 +1,341 @@
+"""A program in whole numbers of 32 bits: its tables, and its step in the notation.
+
+What is remembered is a whole number times a unit of its own, so small that the range that is proved of it just fits.
+A row of a table T on such numbers v is, with R of 32 bits and a shift s that all rows of the table share,
+
+    ⌊(R_1 v_1 + … + R_k v_k + 2³¹ R_c + 2^(s − 1)) / 2^s⌋,    R ≈ 2^s T in the units of what it is made of,
+
+in 64 bits, which |R_1| + … + |R_c| ≤ 2³⁰ does not leave; what 32 bits do not hold is cut off at ±(2³¹ − 1), which
+counts as no number. Of what is stepped T is by how much it changes, which small numbers say more exactly. Planes have
+64 bits and are not rounded. The step is that of `step`, read with these rules.
+"""
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pwatrack.arrays import Array, IntArray
+from pwatrack.control.program import SampledController
+from pwatrack.errors import OutsideTheory
+from pwatrack.export.step import PRODUCT, Step, step
+from pwatrack.simulation.controller_arrays import routine
+
+FULL = 2**31 - 1  # where numbers are cut off; one less is the largest that counts
+_ONE = 2**31  # what stands for 1 beside numbers of 32 bits
+_WEIGHT = 30  # bits that the entries of a row have together
+_LONGEST = 56  # shift, of tables of small numbers
+_LAW = 30  # shift, of the law, at which inputs are held against limits
+# Tables that have one shift: what their rows make is added up.
+_GROUPS = (
+    ("normals", "offsets"),
+    ("guards",),
+    ("observer",),
+    ("outputs",),
+    ("correction",),
+    ("windup",),
+    ("generator",),
+    ("desired",),
+    ("feedforward", "gain"),
+    ("turn",),
+)
+_UNUSED = ("timing", "half", "all_whole")  # of set-points, which are not made in whole numbers, and of floors
+_WIDE = ("total", PRODUCT, "difference", "worst", "least", "value", "last", "g")  # numbers of 64 bits
+
+
+def unit_of(largest: Array) -> Array:
+    """Return the smallest powers of two of which 2³¹ are more than some numbers; 2⁻³¹ for those that are 0.
+
+    Example:
+        >>> (unit_of(np.array([1.0, 3.0, 0.0])) * 2.0**31).tolist()
+        [2.0, 4.0, 1.0]
+    """
+    return np.asarray(np.ldexp(1.0, np.where(largest > 0, np.frexp(largest)[1], 0) - 31))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedPoint:
+    """A program in whole numbers.
+
+    Attributes:
+        program: In floats.
+        units: What 1 is of y, u, x_hat, s_hat, eta_hat and w, of planes of the cells of x̂ and guards of those of x_d.
+        starts: What x̂ with ŝ, η̂ and w start with, in floats: `start_x_hat`, `start_eta_hat`, `start_w`.
+    """
+
+    program: SampledController
+    units: Mapping[str, Array]
+    starts: Mapping[str, Array]
+
+    @cached_property
+    def counted(self) -> SampledController:
+        """The program in these units, with 1 as 2³¹, still in floats; of what is stepped by how much it changes."""
+        of, units = self.program, self.units
+        x, y, u, known, eta = self.x, units["y"], units["u"], self.known, units["eta_hat"]
+        N, m, p, loads = len(x), len(u), len(eta), len(units["s_hat"])
+
+        def rows(table: Array, to: Array, by: Array) -> Array:
+            return table * by / to[:, None]
+
+        turn = rows(of.follows.turn, units["w"], units["w"]) - np.eye(len(units["w"])) if of.follows else np.zeros(0)
+        most = len(turn) and next((k for k, each in enumerate(turn) if _shift(each) < 0), len(turn))
+        follows = (
+            of.follows
+            and replace(
+                of.follows,
+                turn=turn[: max(most, 1)],  # what grows goes on by single samples
+                w0=of.follows.w0 / units["w"],
+                pieces=tuple(
+                    replace(one, w=one.w / units["w"][one.start : one.start + len(one.w)]) for one in of.follows.pieces
+                ),
+            )
+        )
+        return replace(
+            of,
+            H=rows(of.H, units["planes"], units["x_hat"]),
+            h=of.h / units["planes"],
+            guards=rows(of.guards, units["guards"], known),
+            observer=rows(of.observer, x, np.concatenate([u, x, [1 / _ONE]])) - np.eye(N, m + N + 1, m),
+            C=rows(of.C, y, x),
+            M=rows(of.M, x[: len(of.M)], y),
+            E=rows(of.E, x[: len(of.E)], u),
+            generator=rows(of.generator, eta, known) - np.eye(p, len(known), loads),
+            x_d=rows(of.x_d, units["x_hat"], known),
+            u_ff=rows(of.u_ff, u, known),
+            K=rows(of.K, u, units["x_hat"]),
+            limits=_within(of.limits / u[:, None]),
+            change=_within(of.change / u),
+            quantum=of.quantum / u,
+            follows=follows,
+        )
+
+    def counts(self, name: str, values: Array) -> IntArray:
+        """Return how many units numbers of a kind are."""
+        return _whole(values / self.units[name])
+
+    @property
+    def x(self) -> Array:
+        """Units of (x̂, ŝ)."""
+        return np.concatenate([self.units["x_hat"], self.units["s_hat"]])
+
+    @property
+    def known(self) -> Array:
+        """Units of (ŝ, η̂, w, 1)."""
+        return np.concatenate([*(self.units[name] for name in ("s_hat", "eta_hat", "w")), [1 / _ONE]])
+
+    @cached_property
+    def _made(self) -> tuple[Step, dict[str, int]]:
+        """The step of `counted`, and by how many bits sums with each table are shifted."""
+        of = {"start_x_hat": self.x, "start_eta_hat": self.units["eta_hat"], "start_w": self.units["w"]}
+        made = step(routine(self.counted), {name: values / of[name] for name, values in self.starts.items()})
+        return made, _shifts({name: values for name, (_, values) in made.constants.items() if name != "turn"})
+
+    @cached_property
+    def step(self) -> Step:
+        """Its step, in the notation. What `wide`, `nearest`, `narrowed` and `stepped` do is in `reading`."""
+        made, shifts = self._made
+        constants = {name: each for name, each in made.constants.items() if name not in _UNUSED}
+        constants["largest"] = ("real", np.array(FULL - 1.0))
+        if "turn" in constants:  # of which each has a shift of its own
+            turn = constants["turn"][1]
+            by = 2.0 ** np.array([_shifts({"turn": each})["turn"] for each in turn])
+            constants |= {"turn": ("real", turn * by[:, None, None]), "turn_unit": ("wide", _whole(by))}
+        for name, (kind, values) in constants.items():
+            if kind == "real":
+                constants[name] = "wide" if name == "offsets" else kind, _whole(values * 2.0 ** shifts.get(name, 0))
+        own = tuple(replace(each, kind="wide") if each.name in _WIDE else each for each in made.own)
+        kinds = {name: kind for name, (kind, _) in constants.items()} | dict.fromkeys(("y", "u", "given"), "real")
+        text = _Counted(shifts, kinds | {each.name: each.kind for each in (*made.kept, *own)}, len(self.units["u"]))
+        return replace(
+            made,
+            constants=constants,
+            own=own,
+            body=text.of(made.body),
+            begin=text.of(made.begin),
+            hold=text.of(made.hold),
+        )
+
+    @property
+    def rounded(self) -> dict[str, Array]:
+        """By how much the entries of each table are rounded, in these units."""
+        made, shifts = self._made
+        exact = {name: (made.constants[name][1], 2.0**shift) for name, shift in shifts.items()}
+        return {name: np.abs(_whole(values * by) / by - values) for name, (values, by) in exact.items()}
+
+
+def _within(limits: Array) -> Array:
+    """Return limits in units as 32 bits hold them: what is beyond limits nothing."""
+    return np.where(np.isfinite(limits), np.clip(limits, 1 - FULL, FULL - 1), limits)
+
+
+def _whole(values: Array) -> IntArray:
+    return np.asarray(np.rint(values), dtype=np.int64)
+
+
+def _shifts(tables: Mapping[str, Array]) -> dict[str, int]:
+    """Return by how many bits sums with each table are shifted.
+
+    Raises OutsideTheory if the rows of one weigh too much for 30 bits.
+    """
+    found = dict[str, int]()
+    for group in _GROUPS:
+        there = [name for name in group if name in tables]
+        shift = _shift(*(_weighed(name, tables[name]) for name in there))
+        if shift < 0:
+            raise OutsideTheory(f"whole numbers of 32 bits: '{there[0]}' makes numbers 2^{-shift} times too large")
+        found |= dict.fromkeys(there, min(shift, _LAW if "gain" in group else _LONGEST))
+    return found
+
+
+def _weighed(name: str, table: Array) -> Array:
+    """Return a table in 2³¹ of what it is of: planes have offsets of 64 bits, gains differences of two numbers."""
+    return table[:, None] / _ONE if name == "offsets" else 2 * table if name == "gain" else table
+
+
+def _shift(*tables: Array) -> int:
+    """Return by how many bits sums with some tables, row by row, may be shifted."""
+    most = float(np.max(sum(np.abs(each).sum(axis=-1) for each in tables), initial=0.0))
+    return _WEIGHT - (int(np.frexp(most)[1]) if most else 0)
+
+
+class _Counted(ast.NodeTransformer):
+    """Reads the notation in whole numbers: each real value has a shift, by which it is larger than what it stands for.
+
+    Planes have none: which cell they choose is the same.
+    """
+
+    def __init__(self, shifts: Mapping[str, int], kinds: Mapping[str, str], inputs: int) -> None:
+        self.tables, self.kinds, self.inputs = shifts, kinds, inputs  # kinds of all names
+        self.shifts = dict[str, int]()  # of numbers of 64 bits, as they stand
+        self.stepping = False  # whether what follows is how floats are put into steps
+        self.table = ""  # the last one that was multiplied with
+
+    def of(self, text: str) -> str:
+        """Return lines of the notation in whole numbers."""
+        return ast.unparse(ast.fix_missing_locations(self.visit(ast.parse(text))))
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        return None if self.stepping else self.generic_visit(node)
+
+    def visit_Assign(self, node: ast.Assign) -> ast.stmt | None:
+        (target,) = node.targets
+        name = _name(target)
+        if self.stepping:
+            self.stepping = name != "value"
+            return None
+        if not self.real(target):
+            return node
+        if self.kinds[name] == "real":
+            return ast.Assign([target], self.kept(target, node.value))
+        if isinstance(node.value, ast.BinOp) and isinstance(node.value.op, ast.Div):
+            self.stepping, shift = True, self.shifts["value"]
+            made = _called("stepped", _called("narrowed", node.value.left, ast.Constant(2**shift)), node.value.right)
+            return ast.Assign([node.value.left], _lifted(made, shift))
+        value, shift = self.value(node.value)
+        if name == "value":  # what an input is to have, until it is put out
+            value, shift = _lifted(value, self.tables["gain"] - shift), self.tables["gain"]
+        if isinstance(target, ast.Name):
+            self.shifts[name] = shift
+        return ast.Assign([target], value)
+
+    def kept(self, target: ast.expr, node: ast.expr) -> ast.expr:
+        """Return a value as it is remembered: of what is stepped, and of what is added to, that alone is rounded."""
+        match node:
+            case ast.Constant(value=float()):
+                return ast.Constant(0)
+            case ast.Subscript():
+                return node
+            case ast.Name(id="total") if self.table == "turn" and isinstance(target, ast.Subscript):
+                more = _called("nearest", node, ast.parse("turn_unit[level]", mode="eval").body)
+                before = ast.Subscript(ast.Name("source"), ast.Name("a"), ast.Load())
+                return _called("narrowed", ast.BinOp(_wide(before), ast.Add(), more), ast.Constant(1))
+            case ast.BinOp(left=ast.Name() as total, op=ast.Sub() as op, right=ast.Subscript() as other):
+                value, shift = self.value(total)
+                return _called("narrowed", ast.BinOp(_nearest(value, shift), op, _wide(other)), ast.Constant(1))
+            case ast.BinOp(left=ast.Subscript() as own, op=ast.Add(), right=ast.Name() as total):
+                value, shift = self.value(total)
+                return _called("narrowed", ast.BinOp(_wide(own), ast.Add(), _nearest(value, shift)), ast.Constant(1))
+        value, shift = self.value(node)
+        was = self.stepped(target, node)
+        if was is None:
+            return _called("narrowed", value, ast.Constant(2**shift))
+        return _called("narrowed", ast.BinOp(_wide(was), ast.Add(), _nearest(value, shift)), ast.Constant(1))
+
+    def stepped(self, target: ast.expr, node: ast.expr) -> ast.expr | None:
+        """Return what it was, where it is by how much that changes."""
+        tables = {_name(each) for each in ast.walk(node) if isinstance(each, ast.Subscript)}
+        if "observer" in tables and isinstance(target, ast.Subscript):
+            place = ast.BinOp(ast.Constant(self.inputs), ast.Add(), target.slice)
+            return ast.Subscript(ast.Name("seen"), place, ast.Load())
+        if "generator" in tables and isinstance(target, ast.Subscript):
+            return ast.Subscript(ast.Name(_name(target).removeprefix("new_")), target.slice, ast.Load())
+        return None
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        left, right = node.left, node.comparators[0]
+        if not (self.real(left) or self.real(right)):
+            return node
+        (one, a), (other, b) = self.value(left), self.value(right)
+        return ast.Compare(_lifted(one, b - a), node.ops, [_lifted(other, a - b)])
+
+    def value(self, node: ast.expr) -> tuple[ast.expr, int]:
+        """Return a real value in whole numbers of 64 bits, and its shift."""
+        match node:
+            case ast.Constant(value=float()):
+                return ast.Constant(0), 0
+            case ast.Name(id=name):
+                return (node, self.shifts[name]) if self.kinds[name] == "wide" else (_wide(node), 0)
+            case ast.Subscript() if (name := _name(node)) in self.tables:
+                wide = self.kinds[name] == "wide"
+                return node if wide else ast.BinOp(_wide(node), ast.Mult(), ast.Constant(_ONE)), self.tables[name]
+            case ast.Subscript():
+                return node if self.kinds[_name(node)] == "wide" else _wide(node), 0
+            case ast.UnaryOp(op=ast.USub() as op, operand=operand):
+                made, shift = self.value(operand)
+                return ast.UnaryOp(op, made), shift
+            case ast.BinOp(left=ast.Subscript() as table, op=ast.Mult() as op, right=right):
+                self.table = _name(table)
+                return ast.BinOp(_wide(table), op, right), self.tables.get(self.table, 0)
+            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+                (one, a), (other, b) = self.value(left), self.value(right)
+                return ast.BinOp(_lifted(one, b - a), op, _lifted(other, a - b)), max(a, b)
+        raise ValueError(f"not a part of the notation in whole numbers: {ast.unparse(node)}")
+
+    def real(self, node: ast.expr) -> bool:
+        """Whether a value is one of real numbers."""
+        match node:
+            case ast.Constant(value=value):
+                return isinstance(value, float)
+            case ast.Name() | ast.Subscript():
+                return self.kinds[_name(node)] in ("real", "wide")
+            case ast.UnaryOp(operand=operand):
+                return self.real(operand)
+            case ast.BinOp(left=left, right=right):
+                return self.real(left) or self.real(right)
+        return False
+
+
+def _name(node: ast.expr) -> str:
+    while isinstance(node, ast.Subscript):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def _called(name: str, *args: ast.expr) -> ast.expr:
+    return ast.Call(ast.Name(name), [*args], [])
+
+
+def _wide(node: ast.expr) -> ast.expr:
+    return _called("wide", node)
+
+
+def _nearest(node: ast.expr, shift: int) -> ast.expr:
+    return _called("nearest", node, ast.Constant(2**shift))
+
+
+def _lifted(node: ast.expr, bits: int) -> ast.expr:
+    """Return a value times 2^bits, where that is more than it."""
+    zero = isinstance(node, ast.Constant) and node.value == 0
+    return node if bits <= 0 or zero else ast.BinOp(node, ast.Mult(), ast.Constant(2**bits))

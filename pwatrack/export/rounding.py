@@ -1,0 +1,307 @@
+"""What rounding adds to the errors of a sampled loop, enclosed: of a program in whole numbers, see `fixed_point`.
+
+In a tick each row of a table is off by what its entries and its result are rounded by, times how large the numbers get
+that it is of. What that is of predictions and corrections kicks (x̂, ŝ), of the law u; what generator and reference are
+off by is seen by running them, along the whole run, and kicks u too. A cell of x̂ that rounding takes for another is
+that of a point p beside x̂: with H_S rows of the planes that are contradicted, by ε at most, and are independent,
+|p − x̂| ≤ |H_S⁺| ε (the point of a polyhedron that is nearest has such rows, and multipliers of one sign). So x̂ is
+kicked to p as a substep begins, and back as it ends.
+
+Without what drives it V of a tube of `lmi.clocked_tubes` falls: V^½ by (1 − b)^½ e^(−a h / 2) in a sample, or more. So
+kicks of size δ in V^½ leave δ / (1 − (1 − b)^½ e^(−a h / 2)) of it, from 0 on.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from pwatrack.arrays import OVER_POWERS, Array
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.ranges import ProgramRanges
+from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled_bounds import SampledBounds, shown
+from pwatrack.claims.tube_search import TubeSearch
+from pwatrack.control.bounds import Channel
+from pwatrack.control.controller import ProvedController
+from pwatrack.control.program import SampledController
+from pwatrack.control.sampled_disturbances import corrected
+from pwatrack.control.sampled_error import SampledErrors
+from pwatrack.control.words import Words
+from pwatrack.errors import CheckFailed, OutsideTheory
+from pwatrack.export.fixed_point import FULL, FixedPoint, unit_of
+from pwatrack.export.reading import run
+from pwatrack.export.source import Source
+from pwatrack.export.step import step
+from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.clocked_tubes import Tube
+from pwatrack.rational import floats
+from pwatrack.simulation.controller_arrays import routine
+
+_ROOM = 1.001, 2.0**20  # times what a number is at most with real numbers, and units more: what it may be
+_MOST = 4096  # sets of planes that are looked at
+_CHANNEL: Channel = ("rounding", 0)
+_OVER = 1 + 1e-6  # more than the rounding of inverses of forms and of bases
+_OTHER = "--float32 makes it, without a proof of what rounding adds"
+_REFUSED = "rounding in whole numbers: "
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Kicked(Tube):
+    """A tube in units of what V^½ is at most: of 1 of these its sizes are, and what it spreads over."""
+
+    level: float
+
+    def spread(self, rows: Array) -> Array:
+        return np.asarray(self.level * super().spread(rows))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rounding:
+    """A program in whole numbers, in a run.
+
+    Attributes:
+        controller: Whose program it is.
+        whole: What runs.
+        ranges: Of its numbers, were they real.
+        given: The reference from outside at all ticks of the run, (ticks, s); (ticks, 0) where it is made inside.
+        proved: The program that its loop was proved with, which makes the reference inside.
+        starts: What that starts with.
+    """
+
+    controller: ProvedController
+    whole: FixedPoint
+    ranges: ProgramRanges
+    given: Array
+    proved: SampledController
+    starts: Mapping[str, Array]
+
+    @cached_property
+    def bounds(self) -> SampledBounds:
+        """What all that acts leaves, and rounding too.
+
+        Raises CheckFailed if a number leaves its 32 bits, or no tube is known.
+        """
+        known, count = self.ranges.bounds, len(self.ranges.bounds.acts.near)
+        off: dict[Channel, float] = {("input", k): size for k, size in enumerate(self.put_out.tolist())}
+        wanted: list[Channel] = [*off, *(("noise", k) for k in range(len(known.errors.plant.C)))]
+        acts = replace(known.acts, squares={one: np.ones(1) for one in wanted if one not in known.tubes}, means={})
+        search = TubeSearch.of(self.controller, known.forms, known.errors, self.proof)
+        tubes = {**known.tubes, **search.tubes(acts)}
+        kicked = tuple(self._kicked(tube) for each in tubes.values() for tube in each)
+        if not (kicked and off.keys() <= tubes.keys()):
+            raise CheckFailed(f"{_REFUSED}no bound was found for what it leaves", hint=_OTHER)
+        squares, beside = {**known.acts.squares, _CHANNEL: np.ones(count)}, dict(known.acts.beside)
+        for k, size in enumerate(off.values()):
+            squares["input", k] = (np.sqrt(squares.get(("input", k), np.zeros(count))) + size) ** 2
+            beside["input", k] = beside.get(("input", k), 0.0) + np.full(count, size)
+        acts = replace(known.acts, squares=squares, beside=beside)
+        found = replace(known, acts=acts, tubes={**tubes, _CHANNEL: kicked})
+        self._check_room(replace(self.ranges, bounds=found))
+        return found
+
+    def sentence(self, words: Words) -> str:
+        """Return what is proved of the loop with this program, in the run."""
+        both = (each.ends_below(self.controller) for each in (self.bounds, self.ranges.bounds))
+        ends, real = (", ".join(words.limits(shown(each))) for each in both)
+        of, own = f"{words.as_designed}{words.off_limits}", " and its own reference" * bool(self.given.shape[1])
+        return (
+            f"In whole numbers of 32 bits, in the run of its spec{of}: no number leaves its range, and {ends} in the "
+            "end, for any switching, between ticks too, beside what is left of the start "
+            f"({real} with real numbers{own})."
+        )
+
+    @property
+    def proof(self) -> ClockedProof:
+        """Of the loop that is sampled."""
+        found = self.controller.claim(SampledLoop).proof
+        assert found is not None
+        return found
+
+    def _kicked(self, tube: Tube) -> Tube:
+        """Return a tube in units of what V^½ of it is at most by all kicks."""
+        h, forms = self.ranges.bounds.errors.gains.sample_time, np.array([np.linalg.inv(floats(Q.P)) for Q in tube.Q])
+        added = 0.0
+        for columns, sizes in self._kicks:
+            added += float(np.sqrt(np.einsum("ik,qij,jk->qk", columns, forms, columns).max(axis=0)) @ sizes)
+        level = added / (1 - np.sqrt(1 - tube.b) * np.exp(-tube.a / 2 * h)) * _OVER
+        found = {each.name: getattr(tube, each.name) for each in fields(tube)}
+        return _Kicked(**{**found, "sizes": tuple(level * size for size in tube.sizes)}, level=level)
+
+    @cached_property
+    def _kicks(self) -> list[tuple[Array, Array]]:
+        """By what z is kicked in each sample, as columns, and how often such columns at most together."""
+        errors, (n, m, N, *_) = self.ranges.bounds.errors, self.ranges.bounds.errors.widths
+        eye = np.eye(errors.order)
+        predicted = [(eye[:, n + m + i * N :][:, :N], self.predicted) for i in range(errors.predicted)]
+        measured = np.hstack([self._corrected(errors, k) for k in range(N)])
+        return [*predicted, (measured, self.corrected)]
+
+    def _corrected(self, errors: SampledErrors, k: int) -> Array:
+        (kick,) = corrected(errors, BallMatrix.of(np.eye(errors.widths[2])[:, [k]]))
+        return kick.floats
+
+    @cached_property
+    def sizes(self) -> dict[str, Array]:
+        """How large numbers may be, in units: those of ranges; v is (x̂, ŝ), known (ŝ, η̂, w, 1); what y is missed by."""
+        of, most = self.whole, largest(self.ranges, self.given)
+        each = {name: _ROOM[0] * size / of.units[name] + _ROOM[1] for name, size in most.items()}
+        v = np.concatenate([each["x_hat"], each["s_hat"]])
+        return {
+            **each,
+            "v": v,
+            "known": np.concatenate([each["s_hat"], each["eta_hat"], each["w"], [2.0**31]]),
+            "missed": np.abs(of.counted.C) @ v + each["y"],
+        }
+
+    def _off(self, table: str, sizes: Array) -> Array:
+        """Return by how much what its entries are rounded by moves the rows of a table, of all cells the most."""
+        off = self.whole.rounded[table]
+        each = (off.reshape(len(off), -1) if off.ndim == 1 else off) @ sizes
+        return np.asarray(each.max(axis=0) if each.ndim > 1 else each)
+
+    @cached_property
+    def predicted(self) -> Array:
+        """By how much a prediction of one sample is off, (N,): in all substeps, with what other cells make of it."""
+        of, N, sizes = self.whole, len(self.whole.x), self.sizes
+        n, m = len(of.units["x_hat"]), len(of.units["u"])
+        rounded = self._off("observer", np.concatenate([sizes["u"], sizes["v"], [2.0**31]])) + 0.5
+        beside = np.zeros(N)
+        if len(of.program.h):
+            planes = self._off("normals", sizes["v"][:n]) + self._off("offsets", np.ones(1))
+            contradicted = planes + planes.max()  # of the cell that is chosen, in units: the right one is by as much
+            beside[:n] = beside_cells(of.program, contradicted * of.units["planes"])
+        back = np.abs(of.program.observer[:, :, m : m + N]).max(axis=0) @ beside
+        return np.asarray(of.program.substeps * (rounded * of.x + beside + back))
+
+    @cached_property
+    def corrected(self) -> Array:
+        """By how much (x̂, ŝ) is off by correcting it, with y rounded as it is read, (N,)."""
+        of, sizes = self.whole, self.sizes
+        missed = self._off("outputs", sizes["v"]) + 1.0
+        rounded = self._off("correction", sizes["missed"]) + 0.5
+        return np.asarray(rounded * of.x + np.abs(of.program.M) @ (missed * of.units["y"]))
+
+    @property
+    def put_out(self) -> Array:
+        """By how much u is off, (m,): by the law, and by x_d, η̂ and w as they are stepped."""
+        return np.asarray(self.law + self._reference)
+
+    @property
+    def law(self) -> Array:
+        """By how much u is off what the law makes of x̂, x_d, η̂ and w as they are, (m,)."""
+        sizes = self.sizes
+        counts = self._off("feedforward", sizes["known"]) + self._off("gain", sizes["x_hat"] + sizes["x_d"]) + 0.5
+        return np.asarray(counts * self.whole.units["u"])
+
+    @cached_property
+    def _reference(self) -> Array:
+        """By how much u_ff − K x_d is off in the run, but for the last rounding, (m,): by stepping nothing else."""
+        of, count = self.whole, len(self.given)
+        still = replace(of, program=_reference_alone(of.program))
+        given = of.counts("w", self.given) if self.given.shape[1] else self.given.astype(np.int64)
+        nothing = np.zeros((count, len(of.units["y"])))
+        inside = _reference_alone(self.proved)
+        real = run(step(routine(inside), self.starts), nothing, self.given)
+        made = run(still.step, nothing.astype(np.int64), given)
+        if (made["status"] < 0).any():
+            raise CheckFailed(f"{_REFUSED}a number leaves its 32 bits along the reference")
+        each = []
+        units = [of.units[k] for k in ("x_hat", "eta_hat", "w")]
+        for found, program, (x, eta, w) in ((real, self.proved, (1.0, 1.0, 1.0)), (made, of.program, units)):
+            at = program.places
+            eta_hat, w_hat = found["v"][:, at["eta_hat"]] * eta, found["v"][:, at["w"]] * w
+            known = np.hstack([np.zeros((count, len(of.units["s_hat"]))), eta_hat, w_hat, np.ones((count, 1))])
+            u_ff = np.einsum("kmc,kc->km", program.u_ff[found["cell_d"]], known)
+            each.append(u_ff - (found["x_d"] * x) @ self.proved.K.T)
+        return np.asarray(np.abs(each[1] - each[0]).max(axis=0) * OVER_POWERS)
+
+    def _check_room(self, ranges: ProgramRanges) -> None:
+        for name, each in largest(ranges, self.given).items():
+            if (each / self.whole.units[name] > np.minimum(self.sizes[name], FULL - 1)).any():
+                raise CheckFailed(f"{_REFUSED}{name} may leave its 32 bits", hint=_OTHER)
+
+
+def largest(ranges: ProgramRanges, given: Array) -> dict[str, Array]:
+    """Return how large the numbers of a program get that are remembered; w where it is given as it is there."""
+    most = {name: np.abs(ends).max(axis=1) for name, ends in ranges.ranges.items() if name != "u_ff"}
+    return most | ({"w": np.abs(given).max(axis=0)} if given.shape[1] else {})
+
+
+def _reference_alone(program: SampledController) -> SampledController:
+    """Return a program of which x̂ and u stay as they are, while all else runs."""
+    m, N = len(program.K), len(program.M)
+    return replace(
+        program,
+        observer=np.zeros_like(program.observer) + np.eye(N, m + N + 1, m),
+        M=np.zeros_like(program.M),
+        E=np.zeros((0, m)),
+        K=np.zeros_like(program.K),
+        u_ff=np.zeros_like(program.u_ff),
+        limits=np.tile([-np.inf, np.inf], (m, 1)),
+        change=np.full(m, np.inf),
+        quantum=np.zeros(m),
+    )
+
+
+def beside_cells(program: SampledController, off: Array) -> Array:
+    """Return how far at most a point of a cell is from any at which its planes are contradicted by `off`, (n,).
+
+    Args:
+        program: Whose cells of x̂ they are.
+        off: By how much at most, of each plane, (K,).
+    """
+    found = np.zeros(program.H.shape[1])
+    for signs in program.signs:
+        planes = np.flatnonzero(signs)
+        count = min(len(planes), program.H.shape[1])
+        chosen = [each for size in range(1, count + 1) for each in combinations(planes.tolist(), size)]
+        if len(chosen) > _MOST:
+            raise CheckFailed(f"{_REFUSED}a cell has more than {_MOST:,} sets of planes")
+        for each in map(list, chosen):
+            H = program.H[each]
+            if np.linalg.matrix_rank(H) == len(each):
+                found = np.maximum(found, np.abs(np.linalg.pinv(H)) @ off[each])
+    return found * _OVER
+
+
+def of_run(controller: ProvedController, code: Source, inside: Source, given: Array) -> Rounding:
+    """Return a program in units that its ranges in a run just fit in.
+
+    Raises OutsideTheory for what is not made in whole numbers.
+    """
+    program, ranges = code.program, next(iter(controller.claims_of(ProgramRanges)), None)
+    if not program.sampling.corrects:
+        raise OutsideTheory(f"{_REFUSED}a program that is emulated is not made in them", hint=_OTHER)
+    if len(program.pace):
+        raise OutsideTheory(f"{_REFUSED}set-points are not made in them", hint=_OTHER)
+    if ranges is None:
+        message = f"{_REFUSED}between what its numbers are is not proved: see 'sampled loop' of the design"
+        raise CheckFailed(message, hint=_OTHER)
+    if ranges.bounds.errors.estimates is not None:
+        message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
+        raise OutsideTheory(message, hint=_OTHER)
+    most = {name: _ROOM[0] ** 2 * size for name, size in largest(ranges, given).items()}
+    x = np.maximum(most["x_hat"], most["x_d"])
+    known = np.concatenate([most["s_hat"], most["eta_hat"], most["w"], [1.0]])
+    units = {
+        **{name: unit_of(most[name]) for name in ("s_hat", "eta_hat", "w", "u")},
+        "x_hat": unit_of(x),
+        "x_d": unit_of(x),
+        "y": unit_of(np.abs(program.C) @ np.concatenate([x, most["s_hat"]]) + most["y"]),
+        "planes": unit_of(np.abs(program.H) @ x + np.abs(program.h)),
+        "guards": unit_of(np.abs(program.guards) @ known),
+    }
+    steps = program.quantum > 0
+    halved = np.maximum(np.floor(np.log2(program.quantum[steps] / units["u"][steps])), 0)
+    units["u"][steps] = program.quantum[steps] / 2.0**halved
+    return Rounding(
+        controller=controller,
+        whole=FixedPoint(program=program, units=units, starts=code.starts),
+        ranges=ranges,
+        given=given,
+        proved=inside.program,
+        starts=inside.starts,
+    )

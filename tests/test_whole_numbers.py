@@ -1,0 +1,358 @@
+"""A controller in whole numbers: C is its plain reading in every bit, and no loop rounds more than is proved."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from math import floor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from pwatrack import load_spec, simulate
+from pwatrack.arrays import Array
+from pwatrack.claims.ranges import ProgramRanges
+from pwatrack.commands.export import Subject, of_spec
+from pwatrack.control.bounds import Channel
+from pwatrack.control.program import SampledController
+from pwatrack.errors import ExitCode, PwatrackError
+from pwatrack.export.c import write
+from pwatrack.export.fixed_point import FULL, FixedPoint, unit_of
+from pwatrack.export.reading import Reading, narrowed, nearest, run, stepped
+from pwatrack.export.rounding import Rounding, beside_cells, largest, of_run
+from pwatrack.export.source import Source
+from tests.exported import machine_of, with_pieces
+from tests.misra import checked, listed
+from tests.test_cli import call, refused
+from tests.test_export_c import built
+from tests.test_ranges import MORE, moved
+from tests.test_sampled_bounds import FRICTION
+from tests.tools import COMPILERS
+
+COARSE = 2.0**12  # times the units that are needed: what 20 bits would have
+KINDS = {
+    "friction": FRICTION,
+    "load": MORE["a load at the input that steps"],
+    "late": MORE["late"],
+    "steps": f"{FRICTION.rstrip()}\n  quantum: {{u: 0.01, y: 1e-4}}\n",
+}
+
+
+@given(st.integers(-(2**62), 2**62), st.integers(0, 56))
+def test_a_number_is_rounded_to_nearest_and_cut_off_where_32_bits_end(value: int, shift: int) -> None:
+    right = floor(Fraction(value, 2**shift) + Fraction(1, 2))
+    assert nearest(value, 2**shift) == right
+    assert narrowed(value, 2**shift) == max(-FULL, min(FULL, right))
+    assert stepped(value, 2**shift) == right * 2**shift
+
+
+@given(st.integers(1, 3), st.integers(1, 4), st.randoms(use_true_random=False))
+def test_a_point_that_planes_contradict_by_little_is_near_the_cell(n: int, planes: int, random: object) -> None:
+    rng = np.random.default_rng(getattr(random, "randrange")(2**32))  # noqa: B009
+    H, signs = rng.normal(size=(planes, n)), rng.choice([-1, 0, 1], size=(1, planes))
+    h = signs[0] * rng.uniform(0, 1, size=planes)  # so that 0 is in the cell
+    x, chosen = 2 * rng.normal(size=n), signs[0] != 0
+    off = np.maximum(-signs[0] * (H @ x + h), 0.0)
+    program = of_cells(H, h, signs)
+    most = beside_cells(program, off)
+    rows = (signs[0][:, None] * H)[chosen]
+    assert (np.abs(shortest(rows, -(rows @ x + (signs[0] * h)[chosen]))) <= most + 1e-7).all()
+
+
+def shortest(G: Array, g: Array) -> Array:
+    """Return the shortest d with G d ≥ g (Lawson and Hanson 1974, chapter 23)."""
+    if not len(G):
+        return np.zeros(G.shape[1])
+    E, f = np.vstack([G.T, g]), np.append(np.zeros(G.shape[1]), 1.0)
+    r = E @ nnls(E, f)[0] - f
+    return np.asarray(-r[:-1] / r[-1])
+
+
+def of_cells(H: Array, h: Array, signs: NDArray[np.int64]) -> SampledController:
+    from pwatrack.simulation.controller_arrays import NONE
+
+    return replace(NONE, H=H, h=h, signs=signs)
+
+
+def source(subject: Subject, *, given: bool = False) -> Source:
+    return Source(file=subject.file, name="loop", single=False, given=given, unproved=subject.unproved)
+
+
+def in_sight(code: Source, subject: Subject) -> Source:
+    """Code in whole numbers for twice what the numbers are in the test vector: no range is proved."""
+    floats = code.step
+    seen = run(floats, subject.vector.y, subject.vector.w)
+    at = code.program.places
+    most = {name: 2 * np.abs(seen["v"][:, at[name]]).max(axis=0) for name in ("y", "u", "s_hat", "eta_hat", "w")}
+    x = 2 * np.maximum(np.abs(seen["v"][:, at["x_hat"]]), np.abs(seen["x_d"])).max(axis=0)
+    of, known = code.program, np.concatenate([most["s_hat"], most["eta_hat"], most["w"], [1.0]])
+    units = {name: unit_of(size) for name, size in {**most, "x_hat": x, "x_d": x}.items()}
+    units["y"] = unit_of(np.abs(of.C) @ np.concatenate([x, most["s_hat"]]) + most["y"])
+    units |= {"planes": unit_of(np.abs(of.H) @ x + np.abs(of.h)), "guards": unit_of(np.abs(of.guards) @ known)}
+    stepping = of.quantum > 0
+    units["u"][stepping] = of.quantum[stepping] / 2.0**20
+    return replace(code, whole=FixedPoint(program=of, units=units, starts=code.starts))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler is installed")
+@pytest.mark.parametrize("of", ["machine", "outside", "pieces"])
+def test_c_is_the_plain_reading_in_every_bit(of: str, tmp_path: Path) -> None:
+    """With a reference from inside and outside; inputs late, in steps and with limits, E, and pieces that end."""
+    subject = with_pieces(tmp_path) if of == "pieces" else machine_of(1000)
+    code = in_sight(source(subject, given=of == "outside"), subject)
+    vector = subject.vector if code.given else replace(subject.vector, w=np.zeros((len(subject.vector.y), 0)))
+    write(code, vector, tmp_path / of)
+    for options in ("-O0", "-O2"):
+        assert f"{len(vector.y)} steps, 0 wrong" in built(tmp_path / of, COMPILERS[0], options)
+    assert "double" not in (tmp_path / of / "loop.c").read_text()
+    assert "float" not in (tmp_path / of / "loop.c").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("cppcheck"), reason="cppcheck is not installed")
+def test_misra_finds_only_the_deviations_that_are_listed(tmp_path: Path) -> None:
+    subject = with_pieces(tmp_path)
+    write(in_sight(source(subject), subject), subject.vector, tmp_path / "code")
+    found = checked(tmp_path / "code")
+    assert found.broken <= listed(), found.said
+    assert not found.others, found.said
+
+
+def test_whole_numbers_do_what_floats_do(tmp_path: Path) -> None:
+    """To a few units of each number, in a run with all that an input can have."""
+    subject = with_pieces(tmp_path)
+    code = in_sight(source(subject), subject)
+    assert code.whole is not None
+    nothing = np.zeros((len(subject.vector.y), 0))
+    real = run(source(subject).step, subject.vector.y, nothing)
+    made = run(code.step, code.whole.counts("y", subject.vector.y), nothing)
+    assert (made["status"] == real["status"]).all()
+    assert np.abs(made["x_d"] * code.whole.units["x_hat"] - real["x_d"]).max() <= 1e-6 * np.abs(real["x_d"]).max()
+    off = np.abs(made["u"] * code.whole.units["u"] - real["u"])
+    assert (off[:-20] <= 0.01 + 1e-9).all()  # a step of the input
+    assert np.mean(off > 1e-9) < 0.02
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def rounded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Subject, Rounding]:
+    """A controller in whole numbers, in units that are coarser than need be, so that rounding is seen."""
+    path = tmp_path_factory.mktemp("whole") / "plant.yaml"
+    path.write_text(KINDS[request.param], encoding="utf-8")
+    subject = of_spec(load_spec(path))
+    assert subject.controller is not None
+    assert subject.spec is not None
+    code = source(subject)
+    ticks = int(subject.spec.scenario.duration / code.program.sampling.sample_time) + 1
+    found = of_run(subject.controller, code, code, np.zeros((ticks, 0)))
+    coarse = {name: unit * COARSE for name, unit in found.whole.units.items()}
+    return subject, replace(found, whole=replace(found.whole, units=coarse))
+
+
+def ran(subject: Subject, step: Callable[[Array], Array], seed: int) -> tuple[Array, Array]:
+    """Return x and u of the plant at ticks, beside a program, with noise as large as it may be."""
+    assert subject.controller is not None
+    assert subject.spec is not None
+    spec, controller = subject.spec, subject.controller
+    plant, bounds = controller.plant, controller.claim(ProgramRanges).bounds
+    h, disturbance = bounds.errors.gains.sample_time, spec.scenario.conditions.disturbance
+    x, waits = simulate(spec, controller).response.x[0], [np.zeros(1)] * bounds.errors.gains.delay
+    noise, random, found = bounds.noise, np.random.default_rng(seed), list[tuple[Array, Array]]()
+    for k in range(int(spec.scenario.duration / h)):
+        u = step(plant.C @ x + random.choice([-1, 1]) * noise)
+        found.append((x, u))
+        waits.append(u)
+        held = plant.B @ waits.pop(0)
+        if plant.loads is not None and disturbance is not None:
+            held = held + disturbance(k * h)
+        x = moved(plant, x, held, h)
+    return np.array([x for x, _ in found]), np.array([u for _, u in found])
+
+
+def whole_of(found: Rounding) -> tuple[Callable[[Array], Array], list[dict[str, object]]]:
+    """Return what steps a program in whole numbers with real ones, and where it writes what it remembers."""
+    reading, seen = Reading(found.whole.step), list[dict[str, object]]()
+
+    def step(y: Array) -> Array:
+        seen.append(reading.step(found.whole.counts("y", y).tolist()))
+        return np.asarray(np.array(seen[-1]["u"]) * found.whole.units["u"])
+
+    return step, seen
+
+
+def ticks(found: Rounding, **changes: Any) -> tuple[Array, dict[str, Array]]:
+    """Return y, at random in a hundredth of its range, and what a program with some other tables remembers of it."""
+    whole = replace(found.whole, program=replace(found.whole.program, **changes))
+    units, most = whole.units, largest(found.ranges, found.given)
+    y = np.random.default_rng(1).uniform(-0.01, 0.01, size=(300, len(units["y"]))) * most["y"]
+    seen = run(whole.step, whole.counts("y", y), np.zeros((len(y), 0)))
+    assert (seen["status"] >= 0).all()
+    at = whole.program.places
+    return y, {name: seen["v"][:, at[name]] * units[name] for name in ("u", "x_hat", "s_hat", "eta_hat", "w")} | {
+        "x_d": seen["x_d"] * units["x_hat"],
+        "cell_d": seen["cell_d"],
+    }
+
+
+def test_a_prediction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
+    _, found = rounded
+    of = found.whole.program
+    _, seen = ticks(found, M=np.zeros_like(of.M))
+    x = np.hstack([seen["x_hat"], seen["s_hat"]])
+    off = np.zeros_like(x[1:])
+    for row, before, u, after in zip(off, x[:-1], seen["u"][:-1], x[1:], strict=True):
+        z = before
+        for _ in range(of.substeps):
+            i = np.maximum(-of.signs * (of.H @ z[: of.H.shape[1]] + of.h), 0.0).max(axis=1).argmin()
+            z = of.observer[i] @ np.concatenate([u, z, [1.0]])
+        row[:] = np.abs(after - z)
+    most, m, N = np.zeros(x.shape[1]), len(of.K), len(of.M)
+    for _ in range(of.substeps):  # what one substep rounds the next one takes on
+        most = np.abs(of.observer[:, :, m : m + N]).max(axis=0) @ most + found.predicted / of.substeps
+    assert (off <= most * 1.0001).all()
+    assert (off.max(axis=0) >= 0.1 * most)[: of.H.shape[1]].any()
+
+
+def test_a_correction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
+    _, found = rounded
+    of = found.whole.program
+    m, N = len(of.K), len(of.M)
+    y, seen = ticks(found, observer=np.zeros_like(of.observer) + np.eye(N, m + N + 1, m))
+    x = np.hstack([seen["x_hat"], seen["s_hat"]])
+    off = np.abs(x[1:] - x[:-1] - (x[:-1] @ of.C.T - y[1:]) @ of.M.T)
+    assert (off <= found.corrected * 1.0001).all()
+    assert (off.max(axis=0) >= 0.5 * found.corrected).all()
+
+
+def test_a_law_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
+    _, found = rounded
+    of = found.whole.program
+    if of.quantum.any() or of.sampling.ahead:
+        return  # u is in steps there, or of what is predicted
+    _, seen = ticks(found, M=np.zeros_like(of.M))
+    known = np.hstack([*(seen[name] for name in ("s_hat", "eta_hat", "w")), np.ones((len(seen["u"]), 1))])
+    u_ff = np.einsum("kmc,kc->km", of.u_ff[seen["cell_d"]], known)
+    off = np.abs(seen["u"] - u_ff - (seen["x_hat"] - seen["x_d"]) @ of.K.T)
+    assert (off <= found.law * 1.0001).all()
+    assert (off.max(axis=0) >= 0.2 * found.law).all()
+
+
+def test_what_is_stepped_is_off_by_what_is_said(rounded: tuple[Subject, Rounding]) -> None:
+    """x_d and u_ff of the run, beside those of the program in floats that was proved."""
+    subject, found = rounded
+    of, nothing = found.whole, np.zeros((len(found.given), len(found.whole.units["y"])))
+    real, made = run(source(subject).step, nothing, found.given), run(of.step, nothing.astype(int), found.given)
+    off = (made["x_d"] * of.units["x_hat"] - real["x_d"]) @ of.program.K.T
+    assert (np.abs(off).max(axis=0) <= 10 * found.put_out).all()
+    assert (found.put_out > found.law).all()
+
+
+def test_no_loop_rounds_more_than_is_proved(rounded: tuple[Subject, Rounding]) -> None:
+    """Beside an independent plant: in 20 bits, so that rounding is more than all else that is left."""
+    subject, found = rounded
+    controller = subject.controller
+    assert controller is not None
+    bounds, known = found.bounds, found.ranges.bounds
+    step, seen = whole_of(found)
+    x, _ = ran(subject, step, 1)
+    assert {each["status"] for each in seen} <= {0, 1}
+    x_d = np.array([each["x_d"] for each in seen]) * found.whole.units["x_hat"]
+    parts, off = known.errors.gains.substeps, np.abs((x - x_d) @ controller.plant.tracked.T)
+    most = (bounds.from_start or bounds.from_zero)["output", 0][::parts][: len(off)]
+    real = (known.from_start or known.from_zero)["output", 0][::parts][: len(off)]
+    first = len(off) // 2 if known.errors.gains.delay else 0  # until the start is gone, which is not in these
+    assert (off[first:, 0] <= most[first:] * (1 + 1e-9) + 1e-9).all()
+    assert (most[first:] >= real[first:]).all()
+    assert most[-1] > 1.02 * real[-1]
+
+
+def test_no_number_leaves_its_range(rounded: tuple[Subject, Rounding]) -> None:
+    subject, found = rounded
+    step, seen = whole_of(found)
+    ran(subject, step, 2)
+    at, units = source(subject).program.places, found.whole.units
+    most = largest(replace(found.ranges, bounds=found.bounds), found.given)
+    for name in ("y", "u", "x_hat", "s_hat", "eta_hat", "w"):
+        values = np.array([each["v"] for each in seen])[:, at[name]] * units[name]
+        assert (np.abs(values).max(axis=0, initial=0.0) <= most[name] + units[name]).all(), name
+
+
+def test_the_difference_to_floats_is_within_what_rounding_adds(rounded: tuple[Subject, Rounding]) -> None:
+    """Of two loops with the same noise, one in floats: they differ by at most what rounding may leave."""
+    subject, found = rounded
+    floats = Reading(source(subject).step)
+    step, _ = whole_of(found)
+    x, _ = ran(subject, step, 3)
+    beside, _ = ran(subject, lambda y: np.array(floats.step(y.tolist())["u"]), 3)
+    assert subject.controller is not None
+    off = np.abs((x - beside) @ subject.controller.plant.tracked.T)[:, 0]
+    bounds, count = found.bounds, len(found.bounds.acts.near)
+    squares: dict[Channel, Array] = {
+        ("rounding", 0): bounds.acts.squares["rounding", 0],
+        ("input", 0): np.full(count, found.put_out[0] ** 2),
+    }
+    alone = replace(bounds, acts=replace(bounds.acts, squares=squares))
+    tracked = np.pad(
+        subject.controller.plant.tracked, ((0, 0), (0, bounds.errors.order - len(subject.controller.plant.B)))
+    )
+    assert off.max() <= alone.off(tracked)[0]
+    assert off.max() > 0 or found.whole.program.quantum.any()  # steps may hide it
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FRICTION.replace("{sample_time: 0.1}", "{sample_time: 0.1, method: emulated}"), "emulated"),
+        (MORE["a load that moves x_d"], "depends on estimates of loads"),
+    ],
+)
+def test_what_is_not_made_in_whole_numbers_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
+    run = call("export", "c", tmp_path / "plant.yaml", "--out", tmp_path / "c", "--int32")
+    line = refused(run, ExitCode.OUTSIDE_THEORY)
+    assert said in line
+    assert "--float32" in line
+    assert not (tmp_path / "c").exists()
+
+
+def test_numbers_that_32_bits_do_not_hold_are_refused(rounded: tuple[Subject, Rounding]) -> None:
+    _, found = rounded
+    small = {name: unit / 2.0**14 for name, unit in found.whole.units.items()}
+    with pytest.raises(PwatrackError, match="32 bits"):
+        _ = replace(found, whole=replace(found.whole, units=small)).bounds
+
+
+def test_a_number_out_of_range_is_refused_and_the_input_is_held(rounded: tuple[Subject, Rounding]) -> None:
+    _, found = rounded
+    step, seen = whole_of(found)
+    q = len(found.whole.units["y"])
+    step(np.zeros(q))
+    before, kept = seen[-1]["u"], seen[-1]["v"]
+    step(np.full(q, 1e9))
+    assert [seen[-1]["status"]] == [-1]
+    assert (seen[-1]["u"], seen[-1]["v"]) == (before, kept)
+    step(np.zeros(q))
+    assert [seen[-1]["status"]] == [0]
+
+
+def test_the_command_says_what_is_proved(tmp_path: Path) -> None:
+    (tmp_path / "plant.yaml").write_text(FRICTION, encoding="utf-8")
+    call("design", tmp_path / "plant.yaml", "--out", tmp_path / "run")
+    said = call("export", "c", tmp_path / "run", "--out", tmp_path / "c", "--int32").stdout
+    assert "In whole numbers of 32 bits, in the run of its spec" in said
+    header = next(path for path in (tmp_path / "c").glob("*.h") if path.name != "vector.h").read_text()
+    assert "In whole numbers of 32 bits, in the run of its spec" in header
+    assert "Y0_UNIT" in header
+    two = call("export", "c", tmp_path / "run", "--out", tmp_path / "d", "--int32", "--float32")
+    assert two.exit_code == 2
+    assert "one kind" in two.output
+    (tmp_path / "run" / "spec.txt").unlink()
+    (tmp_path / "plant.yaml").unlink()
+    alone = call("export", "c", tmp_path / "run", "--out", tmp_path / "e", "--int32")
+    assert "needs the ranges" in refused(alone, ExitCode.INVALID)
