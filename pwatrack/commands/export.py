@@ -12,7 +12,8 @@ import numpy as np
 from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, certificate_text, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
-from pwatrack.errors import CheckFailed, InvalidSpec, Problem
+from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory, Problem
+from pwatrack.export.fixed_point import FixedPoint
 from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
 from pwatrack.export.fmu_models import controller_model, plant_model
 from pwatrack.export.notation import LANGUAGES, Numbers
@@ -49,19 +50,27 @@ class Subject:
         """Return what its code is written from."""
         return Source(file=self.file, name=name, single=single, given=given, unproved=self.unproved)
 
-    def counted(self, code: Source) -> Source:
-        """Return what code in whole numbers of 32 bits is written from, with what rounding makes of its bounds.
+    def rounded(self, code: Source, kind: Literal["float32", "int32"]) -> Source:
+        """Return code in numbers of a kind, with what their rounding makes of the bounds of its run.
 
-        Raises InvalidSpec if its spec is not at hand, OutsideTheory or CheckFailed if it is not made, or not proved.
+        Of single floats it says nothing where that is not proved. Raises InvalidSpec, OutsideTheory or CheckFailed if
+        whole numbers have no spec at hand, or are not made, or not proved.
         """
         if self.spec is None or self.controller is None:
+            if kind == "float32":
+                return code
             raise InvalidSpec("--int32 needs the ranges of all numbers in a run: export the spec, or its run folder")
-        spec, sampling, end = self.spec, code.program.sampling, self.controller.trajectory.exosystem.end
-        last = min(spec.scenario.duration, np.inf if end is None else end)
-        t = sampling.sample_time * np.arange(int(last / sampling.sample_time) + 1)
+        spec, h, end = self.spec, code.program.sampling.sample_time, self.controller.trajectory.exosystem.end
+        t = h * np.arange(int(min(spec.scenario.duration, np.inf if end is None else end) / h) + 1)
         given = _outside(self.controller, self.file, t) if code.given else np.zeros((len(t), 0))
-        rounding = of_run(self.controller, code, replace(code, given=False), given)
-        return replace(code, whole=rounding.whole, rounding=rounding.sentence(spec.words))
+        try:
+            found = of_run(self.controller, code, kind, replace(code, single=False, given=False), given)
+            told = found.sentence(spec.words)
+        except (OutsideTheory, CheckFailed):
+            if kind == "float32":
+                return code
+            raise
+        return replace(code, rounding=told, whole=found.numbers if isinstance(found.numbers, FixedPoint) else None)
 
     @property
     def beside(self) -> dict[str, str]:
@@ -101,7 +110,7 @@ def export(to: str, task: ExportTask, out: Path, *, numbers: Numbers = "float64"
     subject = subject_of(task)
     name, single = prefix(task.name or subject.file.name), numbers == "float32"
     code = subject.source(name, single=single, given=task.given)
-    code = subject.counted(code) if numbers == "int32" else code
+    code = code if numbers == "float64" else subject.rounded(code, numbers)
     try:
         names = [*LANGUAGES[to].write(code, subject.vector, out), *write_texts(subject.beside, out)]
     except OSError as error:

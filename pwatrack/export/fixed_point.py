@@ -20,10 +20,10 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.control.program import SampledController
 from pwatrack.errors import OutsideTheory
+from pwatrack.export.reading import FULL, run
 from pwatrack.export.step import PRODUCT, Step, step
 from pwatrack.simulation.controller_arrays import routine
 
-FULL = 2**31 - 1  # where numbers are cut off; one less is the largest that counts
 _ONE = 2**31  # what stands for 1 beside numbers of 32 bits
 _WEIGHT = 30  # bits that the entries of a row have together
 _LONGEST = 56  # shift, of tables of small numbers
@@ -41,6 +41,7 @@ _GROUPS = (
     ("feedforward", "gain"),
     ("turn",),
 )
+_SPARE = 2.0**20  # units that rounding may make numbers larger by
 _UNUSED = ("timing", "half", "all_whole")  # of set-points, which are not made in whole numbers, and of floors
 _WIDE = ("total", PRODUCT, "difference", "worst", "least", "value", "last", "g")  # numbers of 64 bits
 
@@ -157,12 +158,54 @@ class FixedPoint:
             hold=text.of(made.hold),
         )
 
-    @property
-    def rounded(self) -> dict[str, Array]:
-        """By how much the entries of each table are rounded, in these units."""
+    def off(self, table: str, sizes: Array) -> Array:
+        """Return by how much rounding the entries of a table moves its rows, in units: of all cells the most.
+
+        Args:
+            table: By its name in `step`.
+            sizes: How large what the rows are of is at most, in units.
+        """
         made, shifts = self._made
-        exact = {name: (made.constants[name][1], 2.0**shift) for name, shift in shifts.items()}
-        return {name: np.abs(_whole(values * by) / by - values) for name, (values, by) in exact.items()}
+        exact, by = made.constants[table][1], 2.0 ** shifts[table]
+        return most(np.abs(_whole(exact * by) / by - exact), sizes)
+
+    def kept(self, sizes: Array) -> Array:
+        """Return by how much numbers of some sizes are rounded as they are read or kept, in units."""
+        return np.full(len(sizes), 0.5)
+
+    @property
+    def one(self) -> float:
+        """What stands for 1 beside numbers."""
+        return float(_ONE)
+
+    @property
+    def largest(self) -> float:
+        """The largest number that counts, in units."""
+        return FULL - 1.0
+
+    @property
+    def spare(self) -> Mapping[str, Array]:
+        """What numbers may be more than with real numbers, in units."""
+        return {name: np.full(len(unit), _SPARE) for name, unit in self.units.items()}
+
+    def along(self, program: SampledController, given: Array) -> dict[str, Array]:
+        """Return cell_d, x_d, η̂ and w of a program in these units after each tick, with no y.
+
+        Raises OutsideTheory if a number leaves its 32 bits.
+        """
+        of, nothing = replace(self, program=program), np.zeros((len(given), len(self.units["y"])), dtype=np.int64)
+        found = run(of.step, nothing, of.counts("w", given) if given.shape[1] else given.astype(np.int64))
+        if (found["status"] < 0).any():
+            raise OutsideTheory("whole numbers of 32 bits do not hold the reference")
+        at, units = program.places, self.units
+        real = {name: found["v"][:, at[name]] * units[name] for name in ("eta_hat", "w")}
+        return {**real, "x_d": found["x_d"] * units["x_hat"], "cell_d": found["cell_d"]}
+
+
+def most(off: Array, sizes: Array) -> Array:
+    """Return rows of tables (…, k) times sizes (k,), of all cells the most; of a list of offsets for the size 1."""
+    each = (off[:, None] if off.ndim == 1 else off) @ sizes
+    return np.asarray(each.max(axis=0) if each.ndim > 1 else each)
 
 
 def _within(limits: Array) -> Array:

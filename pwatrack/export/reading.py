@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pwatrack.export.fixed_point import FULL
 from pwatrack.export.step import Step
 
+FULL = 2**31 - 1  # where numbers are cut off; one less is the largest that counts
 _FORM = """
 def running():
     {begin}

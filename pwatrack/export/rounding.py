@@ -1,4 +1,4 @@
-"""What rounding adds to the errors of a sampled loop, enclosed: of a program in whole numbers, see `fixed_point`.
+"""What rounding adds to the errors of a sampled loop, enclosed: in whole numbers, or in single floats.
 
 In a tick each row of a table is off by what its entries and its result are rounded by, times how large the numbers get
 that it is of. What that is of predictions and corrections kicks (x̂, ŝ), of the law u; what generator and reference are
@@ -11,12 +11,13 @@ Without what drives it V of a tube of `lmi.clocked_tubes` falls: V^½ by (1 − 
 kicks of size δ in V^½ leave δ / (1 − (1 − b)^½ e^(−a h / 2)) of it, from 0 on.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix
@@ -31,21 +32,19 @@ from pwatrack.control.sampled_disturbances import corrected
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.words import Words
 from pwatrack.errors import CheckFailed, OutsideTheory
-from pwatrack.export.fixed_point import FULL, FixedPoint, unit_of
-from pwatrack.export.reading import run
+from pwatrack.export.fixed_point import FixedPoint, unit_of
+from pwatrack.export.single_floats import SingleFloats, along
 from pwatrack.export.source import Source
-from pwatrack.export.step import step
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube
 from pwatrack.rational import floats
-from pwatrack.simulation.controller_arrays import routine
 
-_ROOM = 1.001, 2.0**20  # times what a number is at most with real numbers, and units more: what it may be
+_ROOM = 1.001  # times what a number is at most with real numbers: what its unit has room for
 _MOST = 4096  # sets of planes that are looked at
 _CHANNEL: Channel = ("rounding", 0)
 _OVER = 1 + 1e-6  # more than the rounding of inverses of forms and of bases
-_OTHER = "--float32 makes it, without a proof of what rounding adds"
-_REFUSED = "rounding in whole numbers: "
+_OTHER = "--float32 is written all the same, and says nothing of it"
+_REFUSED = "what rounding adds: "
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,23 +59,23 @@ class _Kicked(Tube):
 
 @dataclass(frozen=True, kw_only=True)
 class Rounding:
-    """A program in whole numbers, in a run.
+    """A program in numbers of some kind, in a run.
 
     Attributes:
         controller: Whose program it is.
-        whole: What runs.
+        numbers: What runs, in whole numbers or single floats.
         ranges: Of its numbers, were they real.
         given: The reference from outside at all ticks of the run, (ticks, s); (ticks, 0) where it is made inside.
         proved: The program that its loop was proved with, which makes the reference inside.
-        starts: What that starts with.
+        started: What x̂ with ŝ, and η̂ start with.
     """
 
     controller: ProvedController
-    whole: FixedPoint
+    numbers: FixedPoint | SingleFloats
     ranges: ProgramRanges
     given: Array
     proved: SampledController
-    starts: Mapping[str, Array]
+    started: tuple[ArrayLike, ArrayLike]
 
     @cached_property
     def bounds(self) -> SampledBounds:
@@ -107,10 +106,13 @@ class Rounding:
         both = (each.ends_below(self.controller) for each in (self.bounds, self.ranges.bounds))
         ends, real = (", ".join(words.limits(shown(each))) for each in both)
         of, own = f"{words.as_designed}{words.off_limits}", " and its own reference" * bool(self.given.shape[1])
+        whole = isinstance(self.numbers, FixedPoint)
+        kind, fits = (
+            ("whole numbers of 32 bits", "no number leaves its range, and ") if whole else ("single floats", "")
+        )
         return (
-            f"In whole numbers of 32 bits, in the run of its spec{of}: no number leaves its range, and {ends} in the "
-            "end, for any switching, between ticks too, beside what is left of the start "
-            f"({real} with real numbers{own})."
+            f"In {kind}, in the run of its spec{of}: {fits}{ends} in the end, for any switching, between ticks too, "
+            f"beside what is left of the start ({real} with real numbers{own})."
         )
 
     @property
@@ -146,42 +148,37 @@ class Rounding:
     @cached_property
     def sizes(self) -> dict[str, Array]:
         """How large numbers may be, in units: those of ranges; v is (x̂, ŝ), known (ŝ, η̂, w, 1); what y is missed by."""
-        of, most = self.whole, largest(self.ranges, self.given)
-        each = {name: _ROOM[0] * size / of.units[name] + _ROOM[1] for name, size in most.items()}
+        of, most = self.numbers, largest(self.ranges, self.given)
+        each = {name: _ROOM * size / of.units[name] + of.spare[name] for name, size in most.items()}
         v = np.concatenate([each["x_hat"], each["s_hat"]])
+        x, y = np.concatenate([of.units["x_hat"], of.units["s_hat"]]), of.units["y"]
         return {
             **each,
             "v": v,
-            "known": np.concatenate([each["s_hat"], each["eta_hat"], each["w"], [2.0**31]]),
-            "missed": np.abs(of.counted.C) @ v + each["y"],
+            "known": np.concatenate([each["s_hat"], each["eta_hat"], each["w"], [of.one]]),
+            "missed": np.abs(of.program.C) @ (v * x) / y + each["y"],
         }
-
-    def _off(self, table: str, sizes: Array) -> Array:
-        """Return by how much what its entries are rounded by moves the rows of a table, of all cells the most."""
-        off = self.whole.rounded[table]
-        each = (off.reshape(len(off), -1) if off.ndim == 1 else off) @ sizes
-        return np.asarray(each.max(axis=0) if each.ndim > 1 else each)
 
     @cached_property
     def predicted(self) -> Array:
         """By how much a prediction of one sample is off, (N,): in all substeps, with what other cells make of it."""
-        of, N, sizes = self.whole, len(self.whole.x), self.sizes
-        n, m = len(of.units["x_hat"]), len(of.units["u"])
-        rounded = self._off("observer", np.concatenate([sizes["u"], sizes["v"], [2.0**31]])) + 0.5
+        of, sizes, program = self.numbers, self.sizes, self.numbers.program
+        (m, n), N = program.K.shape, len(of.x)
+        rounded = of.off("observer", np.concatenate([sizes["u"], sizes["v"], [of.one]])) + of.kept(sizes["v"])
         beside = np.zeros(N)
-        if len(of.program.h):
-            planes = self._off("normals", sizes["v"][:n]) + self._off("offsets", np.ones(1))
+        if len(program.h):
+            planes = of.off("normals", sizes["v"][:n]) + of.off("offsets", np.ones(1))
             contradicted = planes + planes.max()  # of the cell that is chosen, in units: the right one is by as much
-            beside[:n] = beside_cells(of.program, contradicted * of.units["planes"])
-        back = np.abs(of.program.observer[:, :, m : m + N]).max(axis=0) @ beside
-        return np.asarray(of.program.substeps * (rounded * of.x + beside + back))
+            beside[:n] = beside_cells(program, contradicted * of.units["planes"])
+        back = np.abs(program.observer[:, :, m : m + N]).max(axis=0) @ beside
+        return np.asarray(program.substeps * (rounded * of.x + beside + back))
 
     @cached_property
     def corrected(self) -> Array:
         """By how much (x̂, ŝ) is off by correcting it, with y rounded as it is read, (N,)."""
-        of, sizes = self.whole, self.sizes
-        missed = self._off("outputs", sizes["v"]) + 1.0
-        rounded = self._off("correction", sizes["missed"]) + 0.5
+        of, sizes = self.numbers, self.sizes
+        missed = of.off("outputs", sizes["v"]) + of.kept(sizes["y"]) + of.kept(sizes["missed"])
+        rounded = of.off("correction", sizes["missed"]) + of.kept(sizes["v"])
         return np.asarray(rounded * of.x + np.abs(of.program.M) @ (missed * of.units["y"]))
 
     @property
@@ -192,36 +189,27 @@ class Rounding:
     @property
     def law(self) -> Array:
         """By how much u is off what the law makes of x̂, x_d, η̂ and w as they are, (m,)."""
-        sizes = self.sizes
-        counts = self._off("feedforward", sizes["known"]) + self._off("gain", sizes["x_hat"] + sizes["x_d"]) + 0.5
-        return np.asarray(counts * self.whole.units["u"])
+        of, sizes = self.numbers, self.sizes
+        counts = of.off("feedforward", sizes["known"]) + of.off("gain", sizes["x_hat"] + sizes["x_d"])
+        return np.asarray((counts + of.kept(sizes["u"])) * of.units["u"])
 
     @cached_property
     def _reference(self) -> Array:
         """By how much u_ff − K x_d is off in the run, but for the last rounding, (m,): by stepping nothing else."""
-        of, count = self.whole, len(self.given)
-        still = replace(of, program=_reference_alone(of.program))
-        given = of.counts("w", self.given) if self.given.shape[1] else self.given.astype(np.int64)
-        nothing = np.zeros((count, len(of.units["y"])))
-        inside = _reference_alone(self.proved)
-        real = run(step(routine(inside), self.starts), nothing, self.given)
-        made = run(still.step, nothing.astype(np.int64), given)
-        if (made["status"] < 0).any():
-            raise CheckFailed(f"{_REFUSED}a number leaves its 32 bits along the reference")
-        each = []
-        units = [of.units[k] for k in ("x_hat", "eta_hat", "w")]
-        for found, program, (x, eta, w) in ((real, self.proved, (1.0, 1.0, 1.0)), (made, of.program, units)):
-            at = program.places
-            eta_hat, w_hat = found["v"][:, at["eta_hat"]] * eta, found["v"][:, at["w"]] * w
-            known = np.hstack([np.zeros((count, len(of.units["s_hat"]))), eta_hat, w_hat, np.ones((count, 1))])
+        count, each = len(self.given), list[Array]()
+        real = along(_reference_alone(self.proved), self.started, self.given)
+        made = self.numbers.along(_reference_alone(self.numbers.program), self.given)
+        loads = np.zeros((count, len(self.numbers.units["s_hat"])))
+        for found, program in ((real, self.proved), (made, self.numbers.program)):
+            known = np.hstack([loads, found["eta_hat"], found["w"], np.ones((count, 1))])
             u_ff = np.einsum("kmc,kc->km", program.u_ff[found["cell_d"]], known)
-            each.append(u_ff - (found["x_d"] * x) @ self.proved.K.T)
+            each.append(u_ff - found["x_d"] @ self.proved.K.T)
         return np.asarray(np.abs(each[1] - each[0]).max(axis=0) * OVER_POWERS)
 
     def _check_room(self, ranges: ProgramRanges) -> None:
         for name, each in largest(ranges, self.given).items():
-            if (each / self.whole.units[name] > np.minimum(self.sizes[name], FULL - 1)).any():
-                raise CheckFailed(f"{_REFUSED}{name} may leave its 32 bits", hint=_OTHER)
+            if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
+                raise CheckFailed(f"{_REFUSED}{name} may get too large", hint=_OTHER)
 
 
 def largest(ranges: ProgramRanges, given: Array) -> dict[str, Array]:
@@ -267,23 +255,43 @@ def beside_cells(program: SampledController, off: Array) -> Array:
     return found * _OVER
 
 
-def of_run(controller: ProvedController, code: Source, inside: Source, given: Array) -> Rounding:
-    """Return a program in units that its ranges in a run just fit in.
+def of_run(
+    controller: ProvedController, code: Source, kind: Literal["float32", "int32"], inside: Source, given: Array
+) -> Rounding:
+    """Return what runs in a run of its spec, in numbers of a kind; whole ones in units that their ranges just fit in.
 
-    Raises OutsideTheory for what is not made in whole numbers.
+    Args:
+        controller: Whose program it is.
+        code: What is exported.
+        kind: Of its numbers.
+        inside: The same with its reference inside.
+        given: As of `Rounding`.
+
+    Raises OutsideTheory or CheckFailed for what is not made in whole numbers, or not proved.
     """
     program, ranges = code.program, next(iter(controller.claims_of(ProgramRanges)), None)
     if not program.sampling.corrects:
-        raise OutsideTheory(f"{_REFUSED}a program that is emulated is not made in them", hint=_OTHER)
+        raise OutsideTheory(f"{_REFUSED}the program is emulated, and nothing is proved of it", hint=_OTHER)
     if len(program.pace):
-        raise OutsideTheory(f"{_REFUSED}set-points are not made in them", hint=_OTHER)
+        raise OutsideTheory(f"{_REFUSED}set-points are not made in whole numbers", hint=_OTHER)
     if ranges is None:
         message = f"{_REFUSED}between what its numbers are is not proved: see 'sampled loop' of the design"
         raise CheckFailed(message, hint=_OTHER)
     if ranges.bounds.errors.estimates is not None:
         message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
         raise OutsideTheory(message, hint=_OTHER)
-    most = {name: _ROOM[0] ** 2 * size for name, size in largest(ranges, given).items()}
+    units, started = _units(program, ranges, given), inside.file.started
+    numbers: FixedPoint | SingleFloats = FixedPoint(program=program, units=units, starts=code.starts)
+    if kind == "float32":
+        spare = {name: 2.0**31 * unit for name, unit in units.items()}  # as much again
+        numbers = SingleFloats(program=program, started=started, spare=spare)
+    return Rounding(
+        controller=controller, numbers=numbers, ranges=ranges, given=given, proved=inside.program, started=started
+    )
+
+
+def _units(program: SampledController, ranges: ProgramRanges, given: Array) -> dict[str, Array]:
+    most = {name: _ROOM**2 * size for name, size in largest(ranges, given).items()}
     x = np.maximum(most["x_hat"], most["x_d"])
     known = np.concatenate([most["s_hat"], most["eta_hat"], most["w"], [1.0]])
     units = {
@@ -297,11 +305,4 @@ def of_run(controller: ProvedController, code: Source, inside: Source, given: Ar
     steps = program.quantum > 0
     halved = np.maximum(np.floor(np.log2(program.quantum[steps] / units["u"][steps])), 0)
     units["u"][steps] = program.quantum[steps] / 2.0**halved
-    return Rounding(
-        controller=controller,
-        whole=FixedPoint(program=program, units=units, starts=code.starts),
-        ranges=ranges,
-        given=given,
-        proved=inside.program,
-        starts=inside.starts,
-    )
+    return units

@@ -1,4 +1,4 @@
-"""A controller in whole numbers: C is its plain reading in every bit, and no loop rounds more than is proved."""
+"""Rounding: C in whole numbers is its plain reading in every bit, and no loop rounds more than is proved."""
 
 import shutil
 from collections.abc import Callable
@@ -23,8 +23,9 @@ from pwatrack.control.bounds import Channel
 from pwatrack.control.program import SampledController
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.export.c import write
-from pwatrack.export.fixed_point import FULL, FixedPoint, unit_of
-from pwatrack.export.reading import Reading, narrowed, nearest, run, stepped
+from pwatrack.export.controller import Controller
+from pwatrack.export.fixed_point import FixedPoint, unit_of
+from pwatrack.export.reading import FULL, Reading, narrowed, nearest, run, stepped
 from pwatrack.export.rounding import Rounding, beside_cells, largest, of_run
 from pwatrack.export.source import Source
 from tests.exported import machine_of, with_pieces
@@ -150,9 +151,14 @@ def rounded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     assert subject.spec is not None
     code = source(subject)
     ticks = int(subject.spec.scenario.duration / code.program.sampling.sample_time) + 1
-    found = of_run(subject.controller, code, code, np.zeros((ticks, 0)))
-    coarse = {name: unit * COARSE for name, unit in found.whole.units.items()}
-    return subject, replace(found, whole=replace(found.whole, units=coarse))
+    found = of_run(subject.controller, code, "int32", code, np.zeros((ticks, 0)))
+    coarse = {name: unit * COARSE for name, unit in found.numbers.units.items()}
+    return subject, replace(found, numbers=replace(whole(found), units=coarse))
+
+
+def whole(found: Rounding) -> FixedPoint:
+    assert isinstance(found.numbers, FixedPoint)
+    return found.numbers
 
 
 def ran(subject: Subject, step: Callable[[Array], Array], seed: int) -> tuple[Array, Array]:
@@ -177,23 +183,23 @@ def ran(subject: Subject, step: Callable[[Array], Array], seed: int) -> tuple[Ar
 
 def whole_of(found: Rounding) -> tuple[Callable[[Array], Array], list[dict[str, object]]]:
     """Return what steps a program in whole numbers with real ones, and where it writes what it remembers."""
-    reading, seen = Reading(found.whole.step), list[dict[str, object]]()
+    reading, seen = Reading(whole(found).step), list[dict[str, object]]()
 
     def step(y: Array) -> Array:
-        seen.append(reading.step(found.whole.counts("y", y).tolist()))
-        return np.asarray(np.array(seen[-1]["u"]) * found.whole.units["u"])
+        seen.append(reading.step(whole(found).counts("y", y).tolist()))
+        return np.asarray(np.array(seen[-1]["u"]) * found.numbers.units["u"])
 
     return step, seen
 
 
 def ticks(found: Rounding, **changes: Any) -> tuple[Array, dict[str, Array]]:
     """Return y, at random in a hundredth of its range, and what a program with some other tables remembers of it."""
-    whole = replace(found.whole, program=replace(found.whole.program, **changes))
-    units, most = whole.units, largest(found.ranges, found.given)
+    numbers = replace(whole(found), program=replace(found.numbers.program, **changes))
+    units, most = numbers.units, largest(found.ranges, found.given)
     y = np.random.default_rng(1).uniform(-0.01, 0.01, size=(300, len(units["y"]))) * most["y"]
-    seen = run(whole.step, whole.counts("y", y), np.zeros((len(y), 0)))
+    seen = run(numbers.step, numbers.counts("y", y), np.zeros((len(y), 0)))
     assert (seen["status"] >= 0).all()
-    at = whole.program.places
+    at = numbers.program.places
     return y, {name: seen["v"][:, at[name]] * units[name] for name in ("u", "x_hat", "s_hat", "eta_hat", "w")} | {
         "x_d": seen["x_d"] * units["x_hat"],
         "cell_d": seen["cell_d"],
@@ -202,7 +208,7 @@ def ticks(found: Rounding, **changes: Any) -> tuple[Array, dict[str, Array]]:
 
 def test_a_prediction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
     _, found = rounded
-    of = found.whole.program
+    of = found.numbers.program
     _, seen = ticks(found, M=np.zeros_like(of.M))
     x = np.hstack([seen["x_hat"], seen["s_hat"]])
     off = np.zeros_like(x[1:])
@@ -221,7 +227,7 @@ def test_a_prediction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rou
 
 def test_a_correction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
     _, found = rounded
-    of = found.whole.program
+    of = found.numbers.program
     m, N = len(of.K), len(of.M)
     y, seen = ticks(found, observer=np.zeros_like(of.observer) + np.eye(N, m + N + 1, m))
     x = np.hstack([seen["x_hat"], seen["s_hat"]])
@@ -232,7 +238,7 @@ def test_a_correction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rou
 
 def test_a_law_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
     _, found = rounded
-    of = found.whole.program
+    of = found.numbers.program
     if of.quantum.any() or of.sampling.ahead:
         return  # u is in steps there, or of what is predicted
     _, seen = ticks(found, M=np.zeros_like(of.M))
@@ -246,7 +252,7 @@ def test_a_law_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding])
 def test_what_is_stepped_is_off_by_what_is_said(rounded: tuple[Subject, Rounding]) -> None:
     """x_d and u_ff of the run, beside those of the program in floats that was proved."""
     subject, found = rounded
-    of, nothing = found.whole, np.zeros((len(found.given), len(found.whole.units["y"])))
+    of, nothing = whole(found), np.zeros((len(found.given), len(found.numbers.units["y"])))
     real, made = run(source(subject).step, nothing, found.given), run(of.step, nothing.astype(int), found.given)
     off = (made["x_d"] * of.units["x_hat"] - real["x_d"]) @ of.program.K.T
     assert (np.abs(off).max(axis=0) <= 10 * found.put_out).all()
@@ -262,7 +268,7 @@ def test_no_loop_rounds_more_than_is_proved(rounded: tuple[Subject, Rounding]) -
     step, seen = whole_of(found)
     x, _ = ran(subject, step, 1)
     assert {each["status"] for each in seen} <= {0, 1}
-    x_d = np.array([each["x_d"] for each in seen]) * found.whole.units["x_hat"]
+    x_d = np.array([each["x_d"] for each in seen]) * found.numbers.units["x_hat"]
     parts, off = known.errors.gains.substeps, np.abs((x - x_d) @ controller.plant.tracked.T)
     most = (bounds.from_start or bounds.from_zero)["output", 0][::parts][: len(off)]
     real = (known.from_start or known.from_zero)["output", 0][::parts][: len(off)]
@@ -272,11 +278,26 @@ def test_no_loop_rounds_more_than_is_proved(rounded: tuple[Subject, Rounding]) -
     assert most[-1] > 1.02 * real[-1]
 
 
+def test_single_floats_are_within_what_is_said_of_them(rounded: tuple[Subject, Rounding]) -> None:
+    """A loop in single floats beside one in doubles, with the same noise: less apart than what rounding may leave."""
+    subject, found = rounded
+    controller = subject.controller
+    assert controller is not None
+    code = source(subject)
+    single = of_run(controller, code, "float32", code, found.given)
+    steps = {kind: Controller(subject.file, single=kind) for kind in (False, True)}
+    x, beside = (ran(subject, one.step, 4)[0] for one in steps.values())
+    off = np.abs((x - beside) @ controller.plant.tracked.T)[:, 0]
+    real, most = found.ranges.bounds.ends_below(controller), single.bounds.ends_below(controller)
+    assert off.max() <= most["output", 0] - real["output", 0] or code.program.quantum.any()
+    assert 0 < most["output", 0] - real["output", 0] < 0.1
+
+
 def test_no_number_leaves_its_range(rounded: tuple[Subject, Rounding]) -> None:
     subject, found = rounded
     step, seen = whole_of(found)
     ran(subject, step, 2)
-    at, units = source(subject).program.places, found.whole.units
+    at, units = source(subject).program.places, found.numbers.units
     most = largest(replace(found.ranges, bounds=found.bounds), found.given)
     for name in ("y", "u", "x_hat", "s_hat", "eta_hat", "w"):
         values = np.array([each["v"] for each in seen])[:, at[name]] * units[name]
@@ -302,7 +323,7 @@ def test_the_difference_to_floats_is_within_what_rounding_adds(rounded: tuple[Su
         subject.controller.plant.tracked, ((0, 0), (0, bounds.errors.order - len(subject.controller.plant.B)))
     )
     assert off.max() <= alone.off(tracked)[0]
-    assert off.max() > 0 or found.whole.program.quantum.any()  # steps may hide it
+    assert off.max() > 0 or found.numbers.program.quantum.any()  # steps may hide it
 
 
 @pytest.mark.parametrize(
@@ -323,15 +344,15 @@ def test_what_is_not_made_in_whole_numbers_is_refused(text: str, said: str, tmp_
 
 def test_numbers_that_32_bits_do_not_hold_are_refused(rounded: tuple[Subject, Rounding]) -> None:
     _, found = rounded
-    small = {name: unit / 2.0**14 for name, unit in found.whole.units.items()}
+    small = {name: unit / 2.0**14 for name, unit in found.numbers.units.items()}
     with pytest.raises(PwatrackError, match="32 bits"):
-        _ = replace(found, whole=replace(found.whole, units=small)).bounds
+        _ = replace(found, numbers=replace(whole(found), units=small)).bounds
 
 
 def test_a_number_out_of_range_is_refused_and_the_input_is_held(rounded: tuple[Subject, Rounding]) -> None:
     _, found = rounded
     step, seen = whole_of(found)
-    q = len(found.whole.units["y"])
+    q = len(found.numbers.units["y"])
     step(np.zeros(q))
     before, kept = seen[-1]["u"], seen[-1]["v"]
     step(np.full(q, 1e9))
