@@ -57,13 +57,15 @@ demo: $(READY) ## design and simulate the paper's example
 
 .PHONY: test
 test: $(DEV) ## run the tests, but for those that take long (five minutes on two cores)
-	@$(BIN)/pytest -q -n auto --dist loadfile -m "not slow"
+	@$(BIN)/pytest -q -n auto $(DIST) -m "not slow"
 
 WORKERS ?= auto
+# a file goes to one worker, in the order of tests/conftest.py
+DIST := --dist loadfile --no-loadscope-reorder
 
 .PHONY: test-all
 test-all: $(DEV) ## run all tests, as CI does
-	@$(BIN)/pytest -q -n $(WORKERS) --dist loadfile
+	@$(BIN)/pytest -q -n $(WORKERS) $(DIST)
 
 KINDS ?= 0
 

@@ -24,6 +24,10 @@ NUMERICAL = re.compile(  # what rounding might decide: `make test-kernels` runs 
     "test_(between|events|exact|generator|goals|lmi|paper_example|peak|polynomial|preview|simulation|state_tracking|"
     "taylor|tracked)[.]py"
 )
+LONGEST = re.compile(  # begun last, one of these would keep one worker busy when the others are done
+    "test_(sampled_|export_|demand|gallery|claims|crossings|rounding|within_limits|cli|enclosed_runs|ranges|drawing|"
+    "docs|dist|cluster)"
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -35,7 +39,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         files.setdefault(item.path, []).append(item)
     long = {path: sum(item.get_closest_marker("slow") is not None for item in each) for path, each in files.items()}
-    items.sort(key=lambda item: -long[item.path])  # a file goes to one worker: those that take long come first
+    # a file goes to one worker, in this order: those that take a minute or more first, whose tests may be few
+    items.sort(key=lambda item: (LONGEST.search(item.path.name) is None, -long[item.path], -len(files[item.path])))
     seed = config.getoption("--shuffle", default=None)
     if seed is not None:
         order = random.Random(seed)
