@@ -34,7 +34,7 @@ from tests.test_cli import call, refused
 from tests.test_export_c import built
 from tests.test_ranges import MORE, moved
 from tests.test_sampled_bounds import FRICTION
-from tests.tools import COMPILERS
+from tests.tools import COMPILERS, SANE
 
 COARSE = 2.0**12  # times the units that are needed: what 20 bits would have
 KINDS = {
@@ -108,9 +108,14 @@ def test_c_is_the_plain_reading_in_every_bit(of: str, tmp_path: Path) -> None:
     """With a reference from inside and outside; inputs late, in steps and with limits, E, and pieces that end."""
     subject = with_pieces(tmp_path) if of == "pieces" else machine_of(1000)
     code = in_sight(source(subject, given=of == "outside"), subject)
-    vector = subject.vector if code.given else replace(subject.vector, w=np.zeros((len(subject.vector.y), 0)))
+    y = subject.vector.y.copy()
+    y[700:][np.random.default_rng(1).random(y[700:].shape) < 0.2] = 1e30  # and what no sensor should give
+    y[800:] *= np.random.default_rng(2).choice([-1, 1], size=y[800:].shape)
+    vector = replace(subject.vector, y=y, w=subject.vector.w if code.given else np.zeros((len(y), 0)))
     write(code, vector, tmp_path / of)
-    for options in ("-O0", "-O2"):
+    main = tmp_path / of / "main.c"
+    main.write_text(main.read_text().replace("status < LOOP_OK", "status > LOOP_ENDED"))  # what is refused is compared
+    for options in ("-O0", "-O2", f"-O1 {SANE}"):
         assert f"{len(vector.y)} steps, 0 wrong" in built(tmp_path / of, COMPILERS[0], options)
     assert "double" not in (tmp_path / of / "loop.c").read_text()
     assert "float" not in (tmp_path / of / "loop.c").read_text()

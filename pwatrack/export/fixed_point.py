@@ -113,8 +113,8 @@ class FixedPoint:
         )
 
     def counts(self, name: str, values: Array) -> IntArray:
-        """Return how many units numbers of a kind are."""
-        return _whole(values / self.units[name])
+        """Return how many units numbers of a kind are, cut off where 32 bits end."""
+        return _whole(np.clip(values / self.units[name], -FULL, FULL))
 
     @property
     def x(self) -> Array:
