@@ -33,7 +33,7 @@ from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_export_c import built
 from tests.test_ranges import MORE, moved
-from tests.test_sampled_bounds import FRICTION
+from tests.test_sampled_bounds import FRICTION, TANK
 from tests.tools import COMPILERS, SANE
 
 COARSE = 2.0**12  # times the units that are needed: what 20 bits would have
@@ -345,6 +345,47 @@ def test_what_is_not_made_in_whole_numbers_is_refused(text: str, said: str, tmp_
     assert said in line
     assert "--float32" in line
     assert not (tmp_path / "c").exists()
+
+
+def exported(text: str, folder: Path) -> tuple[Subject, Rounding]:
+    (folder / "plant.yaml").write_text(text, encoding="utf-8")
+    subject = of_spec(load_spec(folder / "plant.yaml"))
+    assert subject.controller is not None
+    assert subject.spec is not None
+    subject.rounded(source(subject), "int32")  # which refuses what does not fit
+    ticks = int(subject.spec.scenario.duration / source(subject).program.sampling.sample_time) + 1
+    return subject, of_run(subject.controller, source(subject), "int32", source(subject), np.zeros((ticks, 0)))
+
+
+def test_an_input_may_swing_from_one_end_of_its_range_to_the_other(tmp_path: Path) -> None:
+    swinging = FRICTION.replace("frequency: 4", "frequency: 30").replace("amplitude: 0.3", "amplitude: 0.055")
+    subject, found = exported(swinging, tmp_path)
+    step, seen = whole_of(found)
+    _, u = ran(subject, step, 5)
+    assert np.abs(np.diff(u, axis=0)).max() > 2.0**31 * found.numbers.units["u"][0]
+    assert {each["status"] for each in seen} == {0}
+
+
+def test_steps_larger_than_the_input_fit(tmp_path: Path) -> None:
+    text = f"name: A tank\nsystem:\n{TANK}: {{output: {{sine: {{amplitude: 0.01, frequency: 4}}}}}}\n"
+    text += "design: {controller: {K: [[-0.0001]]}}\nsimulation:\n  {duration: 8, sample_time: 0.01, "
+    _, found = exported(text + "controller: {sample_time: 0.1}, quantum: {u: 1}}\n", tmp_path)
+    assert 0 < whole(found).step.constants["quantum"][1].max() <= 2**30
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{MORE['late'].rstrip()}\n  initial: {{plant: [5, 0], observer: [0, 0]}}\n", "out of range at tick 0"),
+        (
+            FRICTION.replace("{sine: {amplitude: 0.3, frequency: 4}}", "{step: {size: 30, at: 12, smooth: 1}}"),
+            "do not hold",
+        ),
+    ],
+)
+def test_a_start_or_a_reference_beyond_the_ranges_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(PwatrackError, match=said):
+        exported(text, tmp_path)
 
 
 def test_numbers_that_32_bits_do_not_hold_are_refused(rounded: tuple[Subject, Rounding]) -> None:

@@ -17,6 +17,7 @@ from pwatrack.export.fixed_point import FixedPoint
 from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
 from pwatrack.export.fmu_models import controller_model, plant_model
 from pwatrack.export.notation import LANGUAGES, Numbers
+from pwatrack.export.reading import run
 from pwatrack.export.rounding import of_run
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
@@ -66,11 +67,24 @@ class Subject:
         try:
             found = of_run(self.controller, code, kind, replace(code, single=False, given=False), given)
             told = found.sentence(spec.words)
+            if isinstance(found.numbers, FixedPoint):
+                self._check_runs(found.numbers, code.given)
         except (OutsideTheory, CheckFailed):
             if kind == "float32":
                 return code
             raise
         return replace(code, rounding=told, whole=found.numbers if isinstance(found.numbers, FixedPoint) else None)
+
+    def _check_runs(self, numbers: FixedPoint, given: bool) -> None:
+        """Refuse whole numbers that what is measured in the simulation does not fit in."""
+        y, w = self.vector.y, self.vector.w if given else np.zeros((len(self.vector.y), 0))
+        seen = run(numbers.step, numbers.counts("y", y), numbers.counts("w", w) if given else w.astype(np.int64))
+        if (seen["status"] < 0).any():
+            tick = int(np.argmax(seen["status"] < 0))
+            message = f"whole numbers of 32 bits: in its simulation a number is out of range at tick {tick}"
+            raise CheckFailed(
+                message, hint="what is proved of ranges begins with x = x_hat = x_d: start there, or export floats"
+            )
 
     @property
     def beside(self) -> dict[str, str]:
@@ -178,8 +192,10 @@ def _simulated(
 
 
 def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
-    """Return the reference of a controller as it is given from outside, at some times."""
+    """Return the reference of a controller as it is given from outside at some ticks: of when the input acts."""
     assert file.program is not None
+    sampling, end = file.program.sampling, controller.trajectory.exosystem.end
+    t = np.minimum(t + sampling.ahead * sampling.sample_time, np.inf if end is None else end)
     trajectory, count = controller.trajectory, len(file.program.outside.given)
     system, w = trajectory.exosystem, trajectory.exosystem.states(t)
     if not trajectory.names and (controller.generator is None or controller.generator.played_back):

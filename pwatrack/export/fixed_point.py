@@ -41,6 +41,7 @@ _GROUPS = (
     ("feedforward", "gain"),
     ("turn",),
 )
+_BEYOND = "units are for the run: a start and a reference beyond it may be larger"
 _SPARE = 2.0**20  # units that rounding may make numbers larger by
 _UNUSED = ("timing", "half", "all_whole")  # of set-points, which are not made in whole numbers, and of floors
 _WIDE = ("total", PRODUCT, "difference", "worst", "least", "value", "last", "g")  # numbers of 64 bits
@@ -145,7 +146,10 @@ class FixedPoint:
             constants |= {"turn": ("real", turn * by[:, None, None]), "turn_unit": ("wide", _whole(by))}
         for name, (kind, values) in constants.items():
             if kind == "real":
-                constants[name] = "wide" if name == "offsets" else kind, _whole(values * 2.0 ** shifts.get(name, 0))
+                whole = _whole(values * 2.0 ** shifts.get(name, 0))
+                if name != "offsets" and np.abs(whole).max(initial=0) > FULL:
+                    raise OutsideTheory(f"whole numbers of 32 bits do not hold '{name}'", hint=_BEYOND)
+                constants[name] = "wide" if name == "offsets" else kind, whole
         own = tuple(replace(each, kind="wide") if each.name in _WIDE else each for each in made.own)
         kinds = {name: kind for name, (kind, _) in constants.items()} | dict.fromkeys(("y", "u", "given"), "real")
         text = _Counted(shifts, kinds | {each.name: each.kind for each in (*made.kept, *own)}, len(self.units["u"]))
@@ -196,7 +200,7 @@ class FixedPoint:
         of, nothing = replace(self, program=program), np.zeros((len(given), len(self.units["y"])), dtype=np.int64)
         found = run(of.step, nothing, of.counts("w", given) if given.shape[1] else given.astype(np.int64))
         if (found["status"] < 0).any():
-            raise OutsideTheory("whole numbers of 32 bits do not hold the reference")
+            raise OutsideTheory("whole numbers of 32 bits do not hold the reference, or the start of x_hat")
         at, units = program.places, self.units
         real = {name: found["v"][:, at[name]] * units[name] for name in ("eta_hat", "w")}
         return {**real, "x_d": found["x_d"] * units["x_hat"], "cell_d": found["cell_d"]}
@@ -260,7 +264,9 @@ class _Counted(ast.NodeTransformer):
         return ast.unparse(ast.fix_missing_locations(self.visit(ast.parse(text))))
 
     def visit_If(self, node: ast.If) -> ast.AST | None:
-        return None if self.stepping else self.generic_visit(node)
+        """Leave out what is of floats: steps, and whether a change is finite; what is kept is looked at in any case."""
+        asked = {each.id for each in ast.walk(node.test) if isinstance(each, ast.Name)}
+        return None if self.stepping or {"last", "largest"} <= asked else self.generic_visit(node)
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt | None:
         (target,) = node.targets
@@ -270,6 +276,8 @@ class _Counted(ast.NodeTransformer):
             return None
         if not self.real(target):
             return node
+        if name == "last" and "value" in {each.id for each in ast.walk(node.value) if isinstance(each, ast.Name)}:
+            return None
         if self.kinds[name] == "real":
             return ast.Assign([target], self.kept(target, node.value))
         if isinstance(node.value, ast.BinOp) and isinstance(node.value.op, ast.Div):

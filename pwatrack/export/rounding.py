@@ -98,7 +98,7 @@ class Rounding:
             beside["input", k] = beside.get(("input", k), 0.0) + np.full(count, size)
         acts = replace(known.acts, squares=squares, beside=beside)
         found = replace(known, acts=acts, tubes={**tubes, _CHANNEL: kicked})
-        self._check_room(replace(self.ranges, bounds=found))
+        self._check_room(replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out))
         return found
 
     def sentence(self, words: Words) -> str:
@@ -106,13 +106,14 @@ class Rounding:
         both = (each.ends_below(self.controller) for each in (self.bounds, self.ranges.bounds))
         ends, real = (", ".join(words.limits(shown(each))) for each in both)
         of, own = f"{words.as_designed}{words.off_limits}", " and its own reference" * bool(self.given.shape[1])
+        begins = "" if self.ranges.bounds.errors.starts is not None else ", from x = x̂ = x_d as the first input acts on"
         whole = isinstance(self.numbers, FixedPoint)
         kind, fits = (
             ("whole numbers of 32 bits", "no number leaves its range, and ") if whole else ("single floats", "")
         )
         return (
-            f"In {kind}, in the run of its spec{of}: {fits}{ends} in the end, for any switching, between ticks too, "
-            f"beside what is left of the start ({real} with real numbers{own})."
+            f"In {kind}, in the run of its spec{begins}{of}: {fits}{ends} in the end, for any switching, between ticks "
+            f"too, beside what is left of the start ({real} with real numbers{own})."
         )
 
     @property
@@ -148,7 +149,7 @@ class Rounding:
     @cached_property
     def sizes(self) -> dict[str, Array]:
         """How large numbers may be, in units: those of ranges; v is (x̂, ŝ), known (ŝ, η̂, w, 1); what y is missed by."""
-        of, most = self.numbers, largest(self.ranges, self.given)
+        of, most = self.numbers, self._largest(self.ranges)
         each = {name: _ROOM * size / of.units[name] + of.spare[name] for name, size in most.items()}
         v = np.concatenate([each["x_hat"], each["s_hat"]])
         x, y = np.concatenate([of.units["x_hat"], of.units["s_hat"]]), of.units["y"]
@@ -194,11 +195,15 @@ class Rounding:
         return np.asarray((counts + of.kept(sizes["u"])) * of.units["u"])
 
     @cached_property
+    def _stepped(self) -> tuple[dict[str, Array], dict[str, Array]]:
+        """What the program that was proved, and that which runs, make of the reference along the run."""
+        real = along(_reference_alone(self.proved), self.started, self.given)
+        return real, self.numbers.along(_reference_alone(self.numbers.program), self.given)
+
+    @cached_property
     def _reference(self) -> Array:
         """By how much u_ff − K x_d is off in the run, but for the last rounding, (m,): by stepping nothing else."""
-        count, each = len(self.given), list[Array]()
-        real = along(_reference_alone(self.proved), self.started, self.given)
-        made = self.numbers.along(_reference_alone(self.numbers.program), self.given)
+        (real, made), count, each = self._stepped, len(self.given), list[Array]()
         loads = np.zeros((count, len(self.numbers.units["s_hat"])))
         for found, program in ((real, self.proved), (made, self.numbers.program)):
             known = np.hstack([loads, found["eta_hat"], found["w"], np.ones((count, 1))])
@@ -206,8 +211,16 @@ class Rounding:
             each.append(u_ff - found["x_d"] @ self.proved.K.T)
         return np.asarray(np.abs(each[1] - each[0]).max(axis=0) * OVER_POWERS)
 
+    def _largest(self, ranges: ProgramRanges) -> dict[str, Array]:
+        """Return how large numbers get; where the reference is from outside, what it makes is seen."""
+        found = largest(ranges, self.given)
+        made = self._stepped[1] if self.given.shape[1] else {}
+        return found | {
+            name: np.maximum(found[name], np.abs(made[name]).max(axis=0)) for name in ("x_d", "eta_hat") if made
+        }
+
     def _check_room(self, ranges: ProgramRanges) -> None:
-        for name, each in largest(ranges, self.given).items():
+        for name, each in self._largest(ranges).items():
             if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
                 raise CheckFailed(f"{_REFUSED}{name} may get too large", hint=_OTHER)
 
@@ -292,6 +305,8 @@ def of_run(
 
 def _units(program: SampledController, ranges: ProgramRanges, given: Array) -> dict[str, Array]:
     most = {name: _ROOM**2 * size for name, size in largest(ranges, given).items()}
+    limits = np.where(np.isfinite(program.limits), np.abs(program.limits), 0.0).max(axis=1)
+    most["u"] = np.maximum(most["u"], limits)  # so that they are reached, where that is not proved to be never so
     x = np.maximum(most["x_hat"], most["x_d"])
     known = np.concatenate([most["s_hat"], most["eta_hat"], most["w"], [1.0]])
     units = {
@@ -303,6 +318,6 @@ def _units(program: SampledController, ranges: ProgramRanges, given: Array) -> d
         "guards": unit_of(np.abs(program.guards) @ known),
     }
     steps = program.quantum > 0
-    halved = np.maximum(np.floor(np.log2(program.quantum[steps] / units["u"][steps])), 0)
+    halved = np.clip(np.floor(np.log2(program.quantum[steps] / units["u"][steps])), 0, 30)
     units["u"][steps] = program.quantum[steps] / 2.0**halved
     return units
