@@ -347,6 +347,15 @@ def test_what_is_not_made_in_whole_numbers_is_refused(text: str, said: str, tmp_
     assert not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
+def test_a_reference_from_outside_gives_numbers_room_for_what_it_lacks() -> None:
+    """Half a sample of the last derivative, which is more than a thousandth of what u is at most."""
+    subject = machine_of(1000)
+    told = subject.rounded(source(subject, given=True), "int32").rounding
+    assert "no number leaves its range" in told
+    assert "with real numbers and its own reference" in told
+
+
 def exported(text: str, folder: Path) -> tuple[Subject, Rounding]:
     (folder / "plant.yaml").write_text(text, encoding="utf-8")
     subject = of_spec(load_spec(folder / "plant.yaml"))

@@ -11,6 +11,7 @@ Without what drives it V of a tube of `lmi.clocked_tubes` falls: V^½ by (1 − 
 kicks of size δ in V^½ leave δ / (1 − (1 − b)^½ e^(−a h / 2)) of it, from 0 on.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
@@ -39,7 +40,9 @@ from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube
 from pwatrack.rational import floats
 
-_ROOM = 1.001  # times what a number is at most with real numbers: what its unit has room for
+# Times what a number is at most with real numbers, what there is room for: the first of these that rounding stays in.
+_ROOMS = (1.001, 1.1, 2.0)
+_LESS = 1.001  # times that, what units have room for: for what rounding may add in units
 _MOST = 4096  # sets of planes that are looked at
 _CHANNEL: Channel = ("rounding", 0)
 _OVER = 1 + 1e-6  # more than the rounding of inverses of forms and of bases
@@ -66,6 +69,7 @@ class Rounding:
         numbers: What runs, in whole numbers or single floats.
         ranges: Of its numbers, were they real.
         given: The reference from outside at all ticks of the run, (ticks, s); (ticks, 0) where it is made inside.
+        room: Times what numbers are at most with real numbers, to which they may grow.
         proved: The program that its loop was proved with, which makes the reference inside.
         started: What x̂ with ŝ, and η̂ start with.
     """
@@ -74,6 +78,7 @@ class Rounding:
     numbers: FixedPoint | SingleFloats
     ranges: ProgramRanges
     given: Array
+    room: float
     proved: SampledController
     started: tuple[ArrayLike, ArrayLike]
 
@@ -100,6 +105,13 @@ class Rounding:
         found = replace(known, acts=acts, tubes={**tubes, _CHANNEL: kicked})
         self._check_room(replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out))
         return found
+
+    @property
+    def fits(self) -> bool:
+        """Whether all numbers stay where there is room for them."""
+        with suppress(CheckFailed):
+            return bool(self.bounds.tubes)
+        return False
 
     def sentence(self, words: Words) -> str:
         """Return what is proved of the loop with this program, in the run."""
@@ -150,7 +162,7 @@ class Rounding:
     def sizes(self) -> dict[str, Array]:
         """How large numbers may be, in units: those of ranges; v is (x̂, ŝ), known (ŝ, η̂, w, 1); what y is missed by."""
         of, most = self.numbers, self._largest(self.ranges)
-        each = {name: _ROOM * size / of.units[name] + of.spare[name] for name, size in most.items()}
+        each = {name: self.room * size / of.units[name] + of.spare[name] for name, size in most.items()}
         v = np.concatenate([each["x_hat"], each["s_hat"]])
         x, y = np.concatenate([of.units["x_hat"], of.units["s_hat"]]), of.units["y"]
         return {
@@ -293,18 +305,30 @@ def of_run(
     if ranges.bounds.errors.estimates is not None:
         message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
         raise OutsideTheory(message, hint=_OTHER)
-    units, started = _units(program, ranges, given), inside.file.started
-    numbers: FixedPoint | SingleFloats = FixedPoint(program=program, units=units, starts=code.starts)
-    if kind == "float32":
-        spare = {name: 2.0**31 * unit for name, unit in units.items()}  # as much again
-        numbers = SingleFloats(program=program, started=started, spare=spare)
-    return Rounding(
-        controller=controller, numbers=numbers, ranges=ranges, given=given, proved=inside.program, started=started
-    )
+    started = inside.file.started
+
+    def within(room: float) -> Rounding:
+        units = _units(program, {name: _LESS * room * size for name, size in largest(ranges, given).items()})
+        numbers: FixedPoint | SingleFloats = FixedPoint(program=program, units=units, starts=code.starts)
+        if kind == "float32":
+            spare = {name: 2.0**31 * unit for name, unit in units.items()}  # as much again
+            numbers = SingleFloats(program=program, started=started, spare=spare)
+        return Rounding(
+            controller=controller,
+            numbers=numbers,
+            ranges=ranges,
+            given=given,
+            room=room,
+            proved=inside.program,
+            started=started,
+        )
+
+    *rooms, last = _ROOMS if kind == "int32" else _ROOMS[:1]
+    return next(filter(lambda found: found.fits, map(within, rooms)), within(last))
 
 
-def _units(program: SampledController, ranges: ProgramRanges, given: Array) -> dict[str, Array]:
-    most = {name: _ROOM**2 * size for name, size in largest(ranges, given).items()}
+def _units(program: SampledController, most: dict[str, Array]) -> dict[str, Array]:
+    """Return the units of a program whose numbers are at most so large."""
     limits = np.where(np.isfinite(program.limits), np.abs(program.limits), 0.0).max(axis=1)
     most["u"] = np.maximum(most["u"], limits)  # so that they are reached, where that is not proved to be never so
     x = np.maximum(most["x_hat"], most["x_d"])
