@@ -42,7 +42,15 @@ class Language:
     once: str = ""  # a loop of one pass, from index, number and body, not indented; "" where it is a loop, too
 
 
-_CALLED = ("sqrt", "wide", "nearest", "narrowed", "stepped")
+_NEAREST = {"/": 2, "*": 1, "+": 1, "-": 1, "<": 1}
+# what may be called, and how often it does each of + - * / and compares; what rounds whole numbers is in `reading`
+_CALLED: Mapping[str, Mapping[str, int]] = {
+    "sqrt": {"/": 1},
+    "wide": {},
+    "nearest": _NEAREST,
+    "narrowed": {**_NEAREST, "<": 3},
+    "stepped": {**_NEAREST, "*": 2},
+}
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">="}
 
@@ -72,14 +80,16 @@ def _names(tree: ast.AST) -> set[str]:
 
 
 def most(text: str, reals: Set[str]) -> Counter[str]:
-    r"""Return how often a text does each of + - * / with floats at most, sqrt as /, and compares them, "<".
+    r"""Return how often a text does each of + - * / with real numbers at most, sqrt as /, and compares them, "<".
 
-    `reals` are the names of floats.
+    `reals` are the names of these: of floats, or of whole numbers that stand for them.
 
     Example:
         >>> text = "for k in range(0, 3):\n    if u[k] > 0.0:\n        u[k] = 2.0 * u[k - 1]"
         >>> sorted(most(text, {"u"}).items())
         [('*', 3), ('<', 3)]
+        >>> sorted(most("u[0] = narrowed(v, 2)", {"u"}).items())
+        [('*', 1), ('+', 1), ('-', 1), ('/', 2), ('<', 3)]
     """
 
     def of_value(node: ast.AST) -> Counter[str]:
@@ -87,7 +97,8 @@ def most(text: str, reals: Set[str]) -> Counter[str]:
         for part in ast.walk(node):
             if isinstance(part, ast.BinOp | ast.Compare) and _names(part) & reals:
                 found[_OPERATORS[type(part.op)] if isinstance(part, ast.BinOp) else "<"] += 1
-            found["/"] += isinstance(part, ast.Call) and "sqrt" in _names(part)
+            if isinstance(part, ast.Call) and isinstance(part.func, ast.Name):
+                found.update(_CALLED.get(part.func.id, {}))
         return found
 
     def of_body(body: Sequence[ast.stmt]) -> Counter[str]:
