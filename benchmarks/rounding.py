@@ -66,11 +66,11 @@ def judged(path: Path, steps: int) -> Row:
     code = Source(file=subject.file, name="loop", single=False, given=False, unproved=subject.unproved)
     h = code.program.sampling.sample_time
     given = np.zeros((int(subject.spec.scenario.duration / h) + 1, 0))
-    found = of_run(controller, code, "int32", code, given)
+    found = of_run(controller, code, "int32", given)
     tracked = controller.tracking, 0
     proved = [found.ranges.bounds, found.bounds]
     with suppress(PwatrackError):
-        proved.append(of_run(controller, code, "float32", code, given).bounds)
+        proved.append(of_run(controller, code, "float32", given).bounds)
     ends = [bounds.ends_below(controller)[tracked] for bounds in proved]
     y, u, of_bound, of_range = beside(subject, found, min(steps, len(given) - 1))
     return Row(

@@ -24,9 +24,9 @@ from pwatrack.control.program import SampledController
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.export.c import write
 from pwatrack.export.controller import Controller
-from pwatrack.export.fixed_point import FixedPoint, unit_of
+from pwatrack.export.fixed_point import FixedPoint
 from pwatrack.export.reading import FULL, Reading, narrowed, nearest, run, stepped
-from pwatrack.export.rounding import Rounding, beside_cells, largest, of_run
+from pwatrack.export.rounding import Rounding, beside_cells, largest, of_run, units_of
 from pwatrack.export.source import Source
 from tests.exported import machine_of, with_pieces
 from tests.misra import checked, listed
@@ -92,13 +92,8 @@ def in_sight(code: Source, subject: Subject) -> Source:
     at = code.program.places
     most = {name: 2 * np.abs(seen["v"][:, at[name]]).max(axis=0) for name in ("y", "u", "s_hat", "eta_hat", "w")}
     x = 2 * np.maximum(np.abs(seen["v"][:, at["x_hat"]]), np.abs(seen["x_d"])).max(axis=0)
-    of, known = code.program, np.concatenate([most["s_hat"], most["eta_hat"], most["w"], [1.0]])
-    units = {name: unit_of(size) for name, size in {**most, "x_hat": x, "x_d": x}.items()}
-    units["y"] = unit_of(np.abs(of.C) @ np.concatenate([x, most["s_hat"]]) + most["y"])
-    units |= {"planes": unit_of(np.abs(of.H) @ x + np.abs(of.h)), "guards": unit_of(np.abs(of.guards) @ known)}
-    stepping = of.quantum > 0
-    units["u"][stepping] = of.quantum[stepping] / 2.0**20
-    return replace(code, whole=FixedPoint(program=of, units=units, starts=code.starts))
+    units = units_of(code.program, {**most, "x_hat": x, "x_d": x})
+    return replace(code, whole=FixedPoint(program=code.program, units=units, starts=code.starts))
 
 
 @pytest.mark.slow
@@ -156,7 +151,7 @@ def rounded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     assert subject.spec is not None
     code = source(subject)
     ticks = int(subject.spec.scenario.duration / code.program.sampling.sample_time) + 1
-    found = of_run(subject.controller, code, "int32", code, np.zeros((ticks, 0)))
+    found = of_run(subject.controller, code, "int32", np.zeros((ticks, 0)))
     coarse = {name: unit * COARSE for name, unit in found.numbers.units.items()}
     return subject, replace(found, numbers=replace(whole(found), units=coarse))
 
@@ -289,7 +284,7 @@ def test_single_floats_are_within_what_is_said_of_them(rounded: tuple[Subject, R
     controller = subject.controller
     assert controller is not None
     code = source(subject)
-    single = of_run(controller, code, "float32", code, found.given)
+    single = of_run(controller, code, "float32", found.given)
     steps = {kind: Controller(subject.file, single=kind) for kind in (False, True)}
     x, beside = (ran(subject, one.step, 4)[0] for one in steps.values())
     off = np.abs((x - beside) @ controller.plant.tracked.T)[:, 0]
@@ -363,7 +358,7 @@ def exported(text: str, folder: Path) -> tuple[Subject, Rounding]:
     assert subject.spec is not None
     subject.rounded(source(subject), "int32")  # which refuses what does not fit
     ticks = int(subject.spec.scenario.duration / source(subject).program.sampling.sample_time) + 1
-    return subject, of_run(subject.controller, source(subject), "int32", source(subject), np.zeros((ticks, 0)))
+    return subject, of_run(subject.controller, source(subject), "int32", np.zeros((ticks, 0)))
 
 
 def test_an_input_may_swing_from_one_end_of_its_range_to_the_other(tmp_path: Path) -> None:

@@ -65,20 +65,19 @@ class Subject:
         t = h * np.arange(int(min(spec.scenario.duration, np.inf if end is None else end) / h) + 1)
         given = _outside(self.controller, self.file, t) if code.given else np.zeros((len(t), 0))
         try:
-            found = of_run(self.controller, code, kind, replace(code, single=False, given=False), given)
+            found = of_run(self.controller, code, kind, given)
             told = found.sentence(spec.words)
             if isinstance(found.numbers, FixedPoint):
-                self._check_runs(found.numbers, code.given)
+                self._check_runs(found.numbers)
         except (OutsideTheory, CheckFailed):
             if kind == "float32":
                 return code
             raise
         return replace(code, rounding=told, whole=found.numbers if isinstance(found.numbers, FixedPoint) else None)
 
-    def _check_runs(self, numbers: FixedPoint, given: bool) -> None:
+    def _check_runs(self, numbers: FixedPoint) -> None:
         """Refuse whole numbers that what is measured in the simulation does not fit in."""
-        y, w = self.vector.y, self.vector.w if given else np.zeros((len(self.vector.y), 0))
-        seen = run(numbers.step, numbers.counts("y", y), numbers.counts("w", w) if given else w.astype(np.int64))
+        seen = run(numbers.step, numbers.counts("y", self.vector.y), numbers.counts("w", self.vector.w))
         if (seen["status"] < 0).any():
             tick = int(np.argmax(seen["status"] < 0))
             message = f"whole numbers of 32 bits: in its simulation a number is out of range at tick {tick}"

@@ -153,11 +153,11 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
 
 
 def corrected(errors: SampledErrors, more: BallMatrix) -> list[BallMatrix]:
-    """Return what z is more after a tick at which (x̂, ŝ) becomes `more`, (N, 1), than it should."""
-    n, m, N, *_ = errors.widths
-    put_out = errors.put_out(zero(n, 1), zero(N, 1) if errors.gains.delay else more, zero(sum(errors.more[1:]), 1))
-    others = zero(errors.order - n - m - N - sum(errors.more), 1)
-    return [above(zero(n, 1), nu, more, others, rest) for nu, rest in put_out]
+    """Return what z is more after a tick at which (x̂, ŝ) becomes `more`, (N, k), than it should, (order, k) each."""
+    (n, m, N, *_), k = errors.widths, more.shape[1]
+    put_out = errors.put_out(zero(n, k), zero(N, k) if errors.gains.delay else more, zero(sum(errors.more[1:]), k))
+    others = zero(errors.order - n - m - N - sum(errors.more), k)
+    return [above(zero(n, k), nu, more, others, rest) for nu, rest in put_out]
 
 
 def row(errors: SampledErrors, form: Form) -> BallMatrix:

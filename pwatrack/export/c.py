@@ -32,8 +32,7 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
         y, w = vector.y.astype(source.real), vector.w.astype(source.real)
         u = np.array([controller.step(y[k], w[k] if source.given else None) for k in range(len(y))])
     else:
-        y = whole.counts("y", vector.y)
-        w = whole.counts("w", vector.w) if source.given else np.zeros((len(y), 0))
+        y, w = whole.counts("y", vector.y), whole.counts("w", vector.w)
         u = run(whole.step, y, w)["u"]
     texts = {f"{name}.h": header(source), f"{name}.c": code(source)}
     values = {"name": name, "upper": name.upper(), "flags": FLAGS, **_advice(source, vector)}

@@ -114,8 +114,8 @@ class FixedPoint:
         )
 
     def counts(self, name: str, values: Array) -> IntArray:
-        """Return how many units numbers of a kind are, cut off where 32 bits end."""
-        return _whole(np.clip(values / self.units[name], -FULL, FULL))
+        """Return how many units numbers of a kind are, (…, k), cut off where 32 bits end; k = 0 where none are."""
+        return _whole(np.clip(values / (self.units[name] if values.shape[-1] else 1.0), -FULL, FULL))
 
     @property
     def x(self) -> Array:
@@ -198,7 +198,7 @@ class FixedPoint:
         Raises OutsideTheory if a number leaves its 32 bits.
         """
         of, nothing = replace(self, program=program), np.zeros((len(given), len(self.units["y"])), dtype=np.int64)
-        found = run(of.step, nothing, of.counts("w", given) if given.shape[1] else given.astype(np.int64))
+        found = run(of.step, nothing, of.counts("w", given))
         if (found["status"] < 0).any():
             raise OutsideTheory("whole numbers of 32 bits do not hold the reference, or the start of x_hat")
         at, units = program.places, self.units

@@ -12,7 +12,7 @@ kicks of size δ in V^½ leave δ / (1 − (1 − b)^½ e^(−a h / 2)) of it, f
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Literal
@@ -30,12 +30,12 @@ from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.control.sampled_disturbances import corrected
-from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.words import Words
 from pwatrack.errors import CheckFailed, OutsideTheory
 from pwatrack.export.fixed_point import FixedPoint, unit_of
 from pwatrack.export.single_floats import SingleFloats, along
 from pwatrack.export.source import Source
+from pwatrack.export.stored import runs
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube
 from pwatrack.rational import floats
@@ -142,8 +142,7 @@ class Rounding:
         for columns, sizes in self._kicks:
             added += float(np.sqrt(np.einsum("ik,qij,jk->qk", columns, forms, columns).max(axis=0)) @ sizes)
         level = added / (1 - np.sqrt(1 - tube.b) * np.exp(-tube.a / 2 * h)) * _OVER
-        found = {each.name: getattr(tube, each.name) for each in fields(tube)}
-        return _Kicked(**{**found, "sizes": tuple(level * size for size in tube.sizes)}, level=level)
+        return _Kicked(**{**vars(tube), "sizes": tuple(level * size for size in tube.sizes)}, level=level)
 
     @cached_property
     def _kicks(self) -> list[tuple[Array, Array]]:
@@ -151,12 +150,8 @@ class Rounding:
         errors, (n, m, N, *_) = self.ranges.bounds.errors, self.ranges.bounds.errors.widths
         eye = np.eye(errors.order)
         predicted = [(eye[:, n + m + i * N :][:, :N], self.predicted) for i in range(errors.predicted)]
-        measured = np.hstack([self._corrected(errors, k) for k in range(N)])
-        return [*predicted, (measured, self.corrected)]
-
-    def _corrected(self, errors: SampledErrors, k: int) -> Array:
-        (kick,) = corrected(errors, BallMatrix.of(np.eye(errors.widths[2])[:, [k]]))
-        return kick.floats
+        (measured,) = corrected(errors, BallMatrix.of(np.eye(N)))
+        return [*predicted, (measured.floats, self.corrected)]
 
     @cached_property
     def sizes(self) -> dict[str, Array]:
@@ -164,12 +159,11 @@ class Rounding:
         of, most = self.numbers, self._largest(self.ranges)
         each = {name: self.room * size / of.units[name] + of.spare[name] for name, size in most.items()}
         v = np.concatenate([each["x_hat"], each["s_hat"]])
-        x, y = np.concatenate([of.units["x_hat"], of.units["s_hat"]]), of.units["y"]
         return {
             **each,
             "v": v,
             "known": np.concatenate([each["s_hat"], each["eta_hat"], each["w"], [of.one]]),
-            "missed": np.abs(of.program.C) @ (v * x) / y + each["y"],
+            "missed": np.abs(of.program.C) @ (v * of.x) / of.units["y"] + each["y"],
         }
 
     @cached_property
@@ -280,16 +274,13 @@ def beside_cells(program: SampledController, off: Array) -> Array:
     return found * _OVER
 
 
-def of_run(
-    controller: ProvedController, code: Source, kind: Literal["float32", "int32"], inside: Source, given: Array
-) -> Rounding:
+def of_run(controller: ProvedController, code: Source, kind: Literal["float32", "int32"], given: Array) -> Rounding:
     """Return what runs in a run of its spec, in numbers of a kind; whole ones in units that their ranges just fit in.
 
     Args:
         controller: Whose program it is.
         code: What is exported.
         kind: Of its numbers.
-        inside: The same with its reference inside.
         given: As of `Rounding`.
 
     Raises OutsideTheory or CheckFailed for what is not made in whole numbers, or not proved.
@@ -305,10 +296,10 @@ def of_run(
     if ranges.bounds.errors.estimates is not None:
         message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
         raise OutsideTheory(message, hint=_OTHER)
-    started = inside.file.started
+    proved, started = runs(code.file), code.file.started
 
     def within(room: float) -> Rounding:
-        units = _units(program, {name: _LESS * room * size for name, size in largest(ranges, given).items()})
+        units = units_of(program, {name: _LESS * room * size for name, size in largest(ranges, given).items()})
         numbers: FixedPoint | SingleFloats = FixedPoint(program=program, units=units, starts=code.starts)
         if kind == "float32":
             spare = {name: 2.0**31 * unit for name, unit in units.items()}  # as much again
@@ -319,7 +310,7 @@ def of_run(
             ranges=ranges,
             given=given,
             room=room,
-            proved=inside.program,
+            proved=proved,
             started=started,
         )
 
@@ -327,7 +318,7 @@ def of_run(
     return next(filter(lambda found: found.fits, map(within, rooms)), within(last))
 
 
-def _units(program: SampledController, most: dict[str, Array]) -> dict[str, Array]:
+def units_of(program: SampledController, most: dict[str, Array]) -> dict[str, Array]:
     """Return the units of a program whose numbers are at most so large."""
     limits = np.where(np.isfinite(program.limits), np.abs(program.limits), 0.0).max(axis=1)
     most["u"] = np.maximum(most["u"], limits)  # so that they are reached, where that is not proved to be never so
