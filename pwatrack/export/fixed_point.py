@@ -10,7 +10,6 @@ counts as no number. Of what is stepped T is by how much it changes, which small
 64 bits and are not rounded. The step is that of `step`, read with these rules.
 """
 
-import ast
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,9 +21,9 @@ from pwatrack.control.program import SampledController
 from pwatrack.errors import OutsideTheory
 from pwatrack.export.reading import FULL, run
 from pwatrack.export.step import PRODUCT, Step, step
+from pwatrack.export.whole_notation import ONE, WholeNumbers
 from pwatrack.simulation.controller_arrays import routine
 
-_ONE = 2**31  # what stands for 1 beside numbers of 32 bits
 _WEIGHT = 30  # bits that the entries of a row have together
 _LONGEST = 56  # shift, of tables of small numbers
 _LAW = 30  # shift, of the law, at which inputs are held against limits
@@ -99,7 +98,7 @@ class FixedPoint:
             H=rows(of.H, units["planes"], units["x_hat"]),
             h=of.h / units["planes"],
             guards=rows(of.guards, units["guards"], known),
-            observer=rows(of.observer, x, np.concatenate([u, x, [1 / _ONE]])) - np.eye(N, m + N + 1, m),
+            observer=rows(of.observer, x, np.concatenate([u, x, [1 / ONE]])) - np.eye(N, m + N + 1, m),
             C=rows(of.C, y, x),
             M=rows(of.M, x[: len(of.M)], y),
             E=rows(of.E, x[: len(of.E)], u),
@@ -125,7 +124,7 @@ class FixedPoint:
     @property
     def known(self) -> Array:
         """Units of (ŝ, η̂, w, 1)."""
-        return np.concatenate([*(self.units[name] for name in ("s_hat", "eta_hat", "w")), [1 / _ONE]])
+        return np.concatenate([*(self.units[name] for name in ("s_hat", "eta_hat", "w")), [1 / ONE]])
 
     @cached_property
     def _made(self) -> tuple[Step, dict[str, int]]:
@@ -152,7 +151,7 @@ class FixedPoint:
                 constants[name] = "wide" if name == "offsets" else kind, whole
         own = tuple(replace(each, kind="wide") if each.name in _WIDE else each for each in made.own)
         kinds = {name: kind for name, (kind, _) in constants.items()} | dict.fromkeys(("y", "u", "given"), "real")
-        text = _Counted(shifts, kinds | {each.name: each.kind for each in (*made.kept, *own)}, len(self.units["u"]))
+        text = WholeNumbers(shifts, kinds | {each.name: each.kind for each in (*made.kept, *own)}, len(self.units["u"]))
         return replace(
             made,
             constants=constants,
@@ -180,7 +179,7 @@ class FixedPoint:
     @property
     def one(self) -> float:
         """What stands for 1 beside numbers."""
-        return float(_ONE)
+        return float(ONE)
 
     @property
     def largest(self) -> float:
@@ -238,155 +237,10 @@ def _shifts(tables: Mapping[str, Array]) -> dict[str, int]:
 
 def _weighed(name: str, table: Array) -> Array:
     """Return a table in 2³¹ of what it is of: planes have offsets of 64 bits, gains differences of two numbers."""
-    return table[:, None] / _ONE if name == "offsets" else 2 * table if name == "gain" else table
+    return table[:, None] / ONE if name == "offsets" else 2 * table if name == "gain" else table
 
 
 def _shift(*tables: Array) -> int:
     """Return by how many bits sums with some tables, row by row, may be shifted."""
     most = float(np.max(sum(np.abs(each).sum(axis=-1) for each in tables), initial=0.0))
     return _WEIGHT - (int(np.frexp(most)[1]) if most else 0)
-
-
-class _Counted(ast.NodeTransformer):
-    """Reads the notation in whole numbers: each real value has a shift, by which it is larger than what it stands for.
-
-    Planes have none: which cell they choose is the same.
-    """
-
-    def __init__(self, shifts: Mapping[str, int], kinds: Mapping[str, str], inputs: int) -> None:
-        self.tables, self.kinds, self.inputs = shifts, kinds, inputs  # kinds of all names
-        self.shifts = dict[str, int]()  # of numbers of 64 bits, as they stand
-        self.stepping = False  # whether what follows is how floats are put into steps
-        self.table = ""  # the last one that was multiplied with
-
-    def of(self, text: str) -> str:
-        """Return lines of the notation in whole numbers."""
-        return ast.unparse(ast.fix_missing_locations(self.visit(ast.parse(text))))
-
-    def visit_If(self, node: ast.If) -> ast.AST | None:
-        """Leave out what is of floats: steps, and whether a change is finite; what is kept is looked at in any case."""
-        asked = {each.id for each in ast.walk(node.test) if isinstance(each, ast.Name)}
-        return None if self.stepping or {"last", "largest"} <= asked else self.generic_visit(node)
-
-    def visit_Assign(self, node: ast.Assign) -> ast.stmt | None:
-        (target,) = node.targets
-        name = _name(target)
-        if self.stepping:
-            self.stepping = name != "value"
-            return None
-        if not self.real(target):
-            return node
-        if name == "last" and "value" in {each.id for each in ast.walk(node.value) if isinstance(each, ast.Name)}:
-            return None
-        if self.kinds[name] == "real":
-            return ast.Assign([target], self.kept(target, node.value))
-        if isinstance(node.value, ast.BinOp) and isinstance(node.value.op, ast.Div):
-            self.stepping, shift = True, self.shifts["value"]
-            made = _called("stepped", _called("narrowed", node.value.left, ast.Constant(2**shift)), node.value.right)
-            return ast.Assign([node.value.left], _lifted(made, shift))
-        value, shift = self.value(node.value)
-        if name == "value":  # what an input is to have, until it is put out
-            value, shift = _lifted(value, self.tables["gain"] - shift), self.tables["gain"]
-        if isinstance(target, ast.Name):
-            self.shifts[name] = shift
-        return ast.Assign([target], value)
-
-    def kept(self, target: ast.expr, node: ast.expr) -> ast.expr:
-        """Return a value as it is remembered: of what is stepped, and of what is added to, that alone is rounded."""
-        match node:
-            case ast.Constant(value=float()):
-                return ast.Constant(0)
-            case ast.Subscript():
-                return node
-            case ast.Name(id="total") if self.table == "turn" and isinstance(target, ast.Subscript):
-                more = _called("nearest", node, ast.parse("turn_unit[level]", mode="eval").body)
-                before = ast.Subscript(ast.Name("source"), ast.Name("a"), ast.Load())
-                return _called("narrowed", ast.BinOp(_wide(before), ast.Add(), more), ast.Constant(1))
-            case ast.BinOp(left=ast.Name() as total, op=ast.Sub() as op, right=ast.Subscript() as other):
-                value, shift = self.value(total)
-                return _called("narrowed", ast.BinOp(_nearest(value, shift), op, _wide(other)), ast.Constant(1))
-            case ast.BinOp(left=ast.Subscript() as own, op=ast.Add(), right=ast.Name() as total):
-                value, shift = self.value(total)
-                return _called("narrowed", ast.BinOp(_wide(own), ast.Add(), _nearest(value, shift)), ast.Constant(1))
-        value, shift = self.value(node)
-        was = self.stepped(target, node)
-        if was is None:
-            return _called("narrowed", value, ast.Constant(2**shift))
-        return _called("narrowed", ast.BinOp(_wide(was), ast.Add(), _nearest(value, shift)), ast.Constant(1))
-
-    def stepped(self, target: ast.expr, node: ast.expr) -> ast.expr | None:
-        """Return what it was, where it is by how much that changes."""
-        tables = {_name(each) for each in ast.walk(node) if isinstance(each, ast.Subscript)}
-        if "observer" in tables and isinstance(target, ast.Subscript):
-            place = ast.BinOp(ast.Constant(self.inputs), ast.Add(), target.slice)
-            return ast.Subscript(ast.Name("seen"), place, ast.Load())
-        if "generator" in tables and isinstance(target, ast.Subscript):
-            return ast.Subscript(ast.Name(_name(target).removeprefix("new_")), target.slice, ast.Load())
-        return None
-
-    def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        left, right = node.left, node.comparators[0]
-        if not (self.real(left) or self.real(right)):
-            return node
-        (one, a), (other, b) = self.value(left), self.value(right)
-        return ast.Compare(_lifted(one, b - a), node.ops, [_lifted(other, a - b)])
-
-    def value(self, node: ast.expr) -> tuple[ast.expr, int]:
-        """Return a real value in whole numbers of 64 bits, and its shift."""
-        match node:
-            case ast.Constant(value=float()):
-                return ast.Constant(0), 0
-            case ast.Name(id=name):
-                return (node, self.shifts[name]) if self.kinds[name] == "wide" else (_wide(node), 0)
-            case ast.Subscript() if (name := _name(node)) in self.tables:
-                wide = self.kinds[name] == "wide"
-                return node if wide else ast.BinOp(_wide(node), ast.Mult(), ast.Constant(_ONE)), self.tables[name]
-            case ast.Subscript():
-                return node if self.kinds[_name(node)] == "wide" else _wide(node), 0
-            case ast.UnaryOp(op=ast.USub() as op, operand=operand):
-                made, shift = self.value(operand)
-                return ast.UnaryOp(op, made), shift
-            case ast.BinOp(left=ast.Subscript() as table, op=ast.Mult() as op, right=right):
-                self.table = _name(table)
-                return ast.BinOp(_wide(table), op, right), self.tables.get(self.table, 0)
-            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
-                (one, a), (other, b) = self.value(left), self.value(right)
-                return ast.BinOp(_lifted(one, b - a), op, _lifted(other, a - b)), max(a, b)
-        raise ValueError(f"not a part of the notation in whole numbers: {ast.unparse(node)}")
-
-    def real(self, node: ast.expr) -> bool:
-        """Whether a value is one of real numbers."""
-        match node:
-            case ast.Constant(value=value):
-                return isinstance(value, float)
-            case ast.Name() | ast.Subscript():
-                return self.kinds[_name(node)] in ("real", "wide")
-            case ast.UnaryOp(operand=operand):
-                return self.real(operand)
-            case ast.BinOp(left=left, right=right):
-                return self.real(left) or self.real(right)
-        return False
-
-
-def _name(node: ast.expr) -> str:
-    while isinstance(node, ast.Subscript):
-        node = node.value
-    return node.id if isinstance(node, ast.Name) else ""
-
-
-def _called(name: str, *args: ast.expr) -> ast.expr:
-    return ast.Call(ast.Name(name), [*args], [])
-
-
-def _wide(node: ast.expr) -> ast.expr:
-    return _called("wide", node)
-
-
-def _nearest(node: ast.expr, shift: int) -> ast.expr:
-    return _called("nearest", node, ast.Constant(2**shift))
-
-
-def _lifted(node: ast.expr, bits: int) -> ast.expr:
-    """Return a value times 2^bits, where that is more than it."""
-    zero = isinstance(node, ast.Constant) and node.value == 0
-    return node if bits <= 0 or zero else ast.BinOp(node, ast.Mult(), ast.Constant(2**bits))
