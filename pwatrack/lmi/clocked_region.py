@@ -40,6 +40,7 @@ from pwatrack.rational import Rational, diagonal, floats, is_positive_definite
 
 _DECAYS = (0.02, 0.1)  # of the rate without limits: what V falls with at least, until that is enough to be proved
 _LEAST = 1e-4  # of P at all knots, in coordinates in which the starts have size 1
+_SEEN = 1e-3  # share of what rows are of z that is as large as starts: less that starts make of them counts as that
 _GAP = 1e-3  # share of the scale that may be missed
 _BITS = (40, 80)  # of the entries of P_k
 _INSIDE = 1e-5  # by which P is made smaller, so that the starts are inside
@@ -143,16 +144,16 @@ class SaturatedTicks:
     def _sought(self, system: Clocked, G: Array, rows: Array, decay: float) -> tuple[list[Array], Array] | None:
         """Return P and T at the knots, in floating point: with Gᵀ P_N G ⪯ I, rowsᵀ rows ⪯ P_N / t for the largest t.
 
-        In coordinates in which the loop without limits, starts and rows are of size 1.
+        In coordinates in which the loop without limits, starts and rows are of size 1, and t is 1 at most.
         """
-        clock, L = looked_for(system, self.knots), np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64)
+        clock, rate = looked_for(system, self.knots), decay * self.rate
+        L = np.asarray(np.linalg.cholesky(self.near)).T
+        L = L / np.linalg.norm(L @ G, 2)
+        rows = rows / max(_longest(rows @ G), _SEEN * _longest(rows @ np.linalg.inv(L)))
+        L = np.asarray(np.linalg.cholesky(L.T @ L + rows.T @ rows)).T
+        inside, rows = clock.inside(L, rate), rows @ np.linalg.inv(L)
         values, V = np.linalg.eigh(L @ G @ G.T @ L.T)
-        size = float(np.sqrt(values[-1]))
-        L = L / size
-        back, rate = np.linalg.inv(L), decay * self.rate
-        inside, rows = clock.inside(L, rate), rows @ back
-        starts, unit = V * np.sqrt(np.maximum(values, 0.0)) / size, float(np.linalg.norm(rows, axis=1).max())
-        rows, eye, last = rows / unit, np.eye(len(L)), clock.count - 1
+        starts, eye, last = V * np.sqrt(np.maximum(values, 0.0)), np.eye(len(L)), clock.count - 1
         less, nothing = (-eye / 2, eye), np.zeros_like(eye)
         fixed = [Bound({k: less}, nothing, _LEAST * eye) for k in range(clock.count)]
         fixed.append(Bound({last: (starts.T / 2, starts)}, nothing, -eye))
@@ -165,6 +166,10 @@ class SaturatedTicks:
             _WORST,
         )
         return None if found is None else ([L.T @ P @ L for P in found[0]], found[1] * clock.longer(L) ** 2)
+
+
+def _longest(rows: Array) -> float:
+    return float(np.linalg.norm(rows, axis=1).max())
 
 
 def _starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:
