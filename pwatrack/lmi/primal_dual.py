@@ -32,7 +32,7 @@ _NONE = 1e-14  # of the data: what v lacks is rounding
 _STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
 _PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
 _SIGN, _SOON = 0.5, 0.1  # gap above which a sign is all that is asked for, and the one that leads to it soonest
-_LOST = 1e3  # times the least gap so far: from there on multipliers grow without end
+_LOST = 1e3  # times the least gap so far, where the constraints are satisfied: there rounding is all that makes it grow
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 60  # iterations: answers that count take at most 50
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
@@ -144,7 +144,7 @@ def _minimise(
         wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
         least = min(least, gap)
-        if not 0 < gap <= _LOST * least:
+        if not 0 < gap < np.inf or (best is not None and gap > _LOST * least):
             break
         if not max(off) <= _OFF and _impossible(linear, at, rest):
             return at, number, True
