@@ -36,10 +36,9 @@ which both are on one side of every plane. "drawn", "cell" and "eta" are of esti
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import accumulate, product
 
 import numpy as np
-import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, above, zero
@@ -99,10 +98,10 @@ def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where
     if channel[0] == "rounding":
         return np.asarray(np.sqrt(d))
     if tube.summed and tube.b:
-        ticks = scipy.signal.lfilter([1.0], [1.0, -np.sqrt(1 - tube.b)], np.sqrt(d[:: gains.substeps]))
+        ticks = _kept(np.sqrt(d[:: gains.substeps]), float(np.sqrt(1 - tube.b)))
         return np.asarray(np.repeat(ticks, gains.substeps)[: len(d)] * OVER_POWERS)
     if channel[0] in ("noise", "eta"):
-        ticks = scipy.signal.lfilter([tube.b], [1.0, tube.b - 1.0], d[:: gains.substeps])
+        ticks = _kept(tube.b * d[:: gains.substeps], 1.0 - tube.b)
         return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
     if tube.summed:
         return faded(acts.means[channel] * where * step, tube.a / 2 * step)
@@ -116,8 +115,13 @@ def faded(added: Array, fall: float) -> Array:
         >>> faded(np.array([1.0, 0.0, 1.0]), np.log(2)).round(2).tolist()
         [1.0, 1.0, 1.5]
     """
-    after = scipy.signal.lfilter([1.0], [1.0, -np.exp(-fall)], added)
+    after = _kept(added, float(np.exp(-fall)))
     return np.asarray((np.append(0.0, after[:-1]) + added) * OVER_POWERS)
+
+
+def _kept(added: Array, share: float) -> Array:
+    """Return what is there after each of some additions, of which this share of what was there before is kept."""
+    return np.fromiter(accumulate(added.tolist(), lambda there, more: more + share * there), float, len(added))
 
 
 def driven(errors: SampledErrors, channel: Channel) -> Drive:
