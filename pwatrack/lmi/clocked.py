@@ -122,10 +122,16 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
     for share in shares or (_OF_MANY if many else _SHARES):
         if best.rate >= share * most:
             break
-        for one in (*program.around(share * most), replace(program, near=best.P[0])):
-            found = one.at(share * most)
-            best = found if found is not None and found.rate > best.rate else best
+        for one in program.around(share * most):
+            best = _faster(best, one.at(share * most))
+            if best.rate >= share * most:
+                break
+        best = _faster(best, replace(program, near=best.P[0]).at(share * most))
     return proved_forms(system, best, best.rate)
+
+
+def _faster(one: Forms, other: Forms | None) -> Forms:
+    return one if other is None or other.rate <= one.rate else other
 
 
 def proved_forms(system: Clocked, found: Forms, rate: float) -> ClockedProof | None:

@@ -239,9 +239,8 @@ class ClockedForms:
 
         def at(rate: float) -> tuple[float, Forms] | None:
             nonlocal program
-            each = (one.at(rate) for one in program.around(rate))
-            found = next((forms for forms in each if forms is not None and forms.rate >= rate), None)
-            if found is None:
+            found = program.at(rate)
+            if found is None or found.rate < rate:
                 return None
             program = replace(program, near=found.P[0])
             return found.rate, found
