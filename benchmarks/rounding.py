@@ -34,7 +34,7 @@ from pwatrack.export.reading import Reading
 from pwatrack.export.rounding import Rounding, largest, of_run
 from pwatrack.export.source import Source, Vector
 from pwatrack.workflow import pipeline
-from tests.test_ranges import moved
+from tests.beside import beside
 
 SUBSTEPS = 16  # of the integration of a sample
 
@@ -72,50 +72,49 @@ def judged(path: Path, steps: int) -> Row:
     with suppress(PwatrackError):
         proved.append(of_run(controller, code, "float32", given).bounds)
     ends = [bounds.ends_below(controller)[tracked] for bounds in proved]
-    y, u, of_bound, of_range = beside(subject, found, min(steps, len(given) - 1))
+    y, u, of_bound, of_range = ran(subject, found, min(steps, len(given) - 1))
     return Row(
         h, ends[0], ends[1], ends[2] if len(ends) > 2 else None, of_bound, of_range, differing(code, found, y, u)
     )
 
 
-def beside(subject: Subject, found: Rounding, steps: int) -> tuple[Array, Array, float, float]:
+def ran(subject: Subject, found: Rounding, steps: int) -> tuple[Array, Array, float, float]:
     """Return y and u, and how much of bounds and ranges is seen at most, in the loop of the program and its plant."""
     controller, spec = subject.controller, subject.spec
     assert controller is not None
     assert spec is not None
-    assert isinstance(found.numbers, FixedPoint)
-    bounds, units, plant = found.bounds, found.numbers.units, spec.problem.plant
-    h, parts, disturbance = (
-        bounds.errors.gains.sample_time,
-        bounds.errors.gains.substeps,
-        spec.scenario.conditions.disturbance,
-    )
+    numbers = found.numbers
+    assert isinstance(numbers, FixedPoint)
+    bounds, plant, disturbance = found.bounds, spec.problem.plant, spec.scenario.conditions.disturbance
+    gains, reading, random = bounds.errors.gains, Reading(numbers.step), np.random.default_rng(1)
+    h = gains.sample_time
     run = pipeline.simulate(
         replace(spec, scenario=replace(spec.scenario, duration=h * steps, sample_time=h)), controller
     ).response
-    signals = np.eye(len(plant.B)) if controller.tracking == "state" else plant.tracked
-    most = bounds.from_start or bounds.from_zero
-    limits = np.array([most[controller.tracking, k] for k in range(len(signals))]).T[::parts]
-    ends, at = largest(replace(found.ranges, bounds=bounds), found.given), found.numbers.program.places
-    reading, random, x = Reading(found.numbers.step), np.random.default_rng(1), run.x[0]
-    waits, noise = [np.zeros(plant.B.shape[1])] * bounds.errors.gains.delay, bounds.noise
-    rows = list[tuple[Array, Array]]()
-    worst = np.zeros(2)
-    for k in range(steps):
-        y = plant.C @ x + random.choice([-1, 1], size=len(noise)) * noise
-        told = reading.step(found.numbers.counts("y", y).tolist())
+    rows, x_hat = list[tuple[Array, Array]](), list[Array]()
+
+    def step(k: int, x: Array) -> Array:
+        y = plant.C @ x + random.choice([-1, 1], size=len(bounds.noise)) * bounds.noise
+        told = reading.step(numbers.counts("y", y).tolist())
         if told["status"] < 0:
             raise AssertionError(f"a number was out of range at tick {k}")
-        u = np.array(told["u"]) * units["u"]
-        x_hat = np.array(told["v"])[at["x_hat"]] * units["x_hat"]
-        seen = np.abs(signals @ (x - run.x_d[k])) / np.maximum(limits[k], 1e-300)
-        begun = bounds.from_start or k > steps // 2  # where the start is not known, it is not in the bounds
-        worst = np.maximum(worst, [seen.max() * bool(begun), (np.abs(x_hat) / np.maximum(ends["x_hat"], 1e-300)).max()])
-        rows.append((y, u))
-        waits.append(u)
-        held = plant.B @ waits.pop(0) + (0.0 if disturbance is None else disturbance(k * h))
-        x = moved(plant, x, held, h, steps=SUBSTEPS)
-    return np.array([y for y, _ in rows]), np.array([u for _, u in rows]), float(worst[0]), float(worst[1])
+        rows.append((y, np.array(told["u"]) * numbers.units["u"]))
+        x_hat.append(np.array(told["v"])[numbers.program.places["x_hat"]] * numbers.units["x_hat"])
+        return rows[-1][1]
+
+    def pushed(k: int) -> Array | float:
+        return 0.0 if disturbance is None else disturbance(k * h)
+
+    x = beside(plant, step, run.x[0], ticks=steps, h=h, delay=gains.delay, pushed=pushed, substeps=SUBSTEPS)
+    signals = np.eye(len(plant.B)) if controller.tracking == "state" else plant.tracked
+    most = bounds.from_start or bounds.from_zero
+    limits = np.array([most[controller.tracking, k] for k in range(len(signals))]).T[:: gains.substeps][:steps]
+    first = 0 if bounds.from_start else steps // 2 + 1  # where the start is not known, it is not in the bounds
+    off = np.abs((x - run.x_d[:steps]) @ signals.T)
+    ends = largest(replace(found.ranges, bounds=bounds), found.given)["x_hat"]
+    of_bound = (off / np.maximum(limits, 1e-300))[first:].max()
+    of_range = (np.abs(x_hat) / np.maximum(ends, 1e-300)).max()
+    return np.array([y for y, _ in rows]), np.array([u for _, u in rows]), float(of_bound), float(of_range)
 
 
 def differing(code: Source, found: Rounding, y: Array, u: Array) -> int:
@@ -125,10 +124,10 @@ def differing(code: Source, found: Rounding, y: Array, u: Array) -> int:
         vector = Vector(y, np.zeros((len(y), 0)), "the loop beside its plant")
         write(replace(code, whole=found.numbers), vector, Path(place))
         command = f"cc {FLAGS} -O2 -o replay main.c loop.c && ./replay"
-        ran = subprocess.run(command, shell=True, cwd=place, capture_output=True, text=True, check=False)  # noqa: S602
-        if "steps" not in ran.stdout:
-            raise AssertionError(ran.stderr)
-        return int(ran.stdout.split()[2])
+        done = subprocess.run(command, shell=True, cwd=place, capture_output=True, text=True, check=False)  # noqa: S602
+        if "steps" not in done.stdout:
+            raise AssertionError(done.stderr)
+        return int(done.stdout.split()[2])
 
 
 def rows(names: list[str], steps: int) -> Iterator[tuple[str, Row | str]]:

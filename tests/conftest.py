@@ -1,8 +1,14 @@
+import hashlib
 import os
+import pickle
 import random
 import re
+import shutil
 import signal
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from hypothesis import settings
@@ -17,6 +23,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "here")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background: tests interrupt themselves
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+MADE = "PWATRACK_MADE"  # the folder of what tests share
+Made = TypeVar("Made")
 SPECS = Path(__file__).parent.parent / "specs"
 
 
@@ -28,6 +36,27 @@ LONGEST = re.compile(  # begun last, one of these would keep one worker busy whe
     "test_(sampled_|export_|demand|gallery|claims|crossings|rounding|within_limits|cli|enclosed_runs|ranges|drawing|"
     "docs|dist|cluster)"
 )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):  # what is made once is made for all workers, which inherit this
+        os.environ[MADE] = tempfile.mkdtemp(prefix="pwatrack-")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ.pop(MADE), ignore_errors=True)
+
+
+def once(make: Callable[[], Made], *key: object) -> Made:
+    """Return what is made, or what another worker made of the same key."""
+    kept = Path(os.environ[MADE]) / hashlib.sha256(repr(key).encode()).hexdigest()
+    if not kept.exists():
+        new = kept.with_suffix(f".{os.getpid()}")
+        new.write_bytes(pickle.dumps(make()))
+        new.replace(kept)
+    made: Made = pickle.loads(kept.read_bytes())
+    return made
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

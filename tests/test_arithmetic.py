@@ -16,6 +16,7 @@ from pwatrack.simulation import kernel
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.controller_arrays import memory, routine
 from pwatrack.simulation.propagate import simulate_flow
+from tests.exported import machine_of
 from tests.plain import Plain
 from tests.promises import random_loop
 
@@ -31,7 +32,9 @@ SAMPLED = [
 
 @cache
 def designed() -> ProvedController:
-    return design(load_spec("specs/two_mass_machine.yaml"))
+    controller = machine_of(1).controller
+    assert controller is not None
+    return controller
 
 
 def bits(values: Any) -> bytes:

@@ -22,7 +22,7 @@ from pwatrack.export.fmu_models import controller_model
 from pwatrack.export.source import Source, prefix
 from pwatrack.export.source import said as in_comment
 from tests.conftest import SPECS
-from tests.exported import machine_of, with_pieces, with_reversed_limits
+from tests.exported import exported, machine_of, with_pieces, with_reversed_limits
 from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
@@ -78,7 +78,7 @@ SOME = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOME)
 def test_specs_of_all_kinds_give_the_same_bits(name: str, tmp_path: Path) -> None:
-    subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=300)
+    subject = exported(name, SOME[name], steps=300)
     for given in (False, True):
         folder = written(subject, tmp_path / str(given), given=given)
         assert " 0 wrong;" in built(folder, COMPILERS[0], "-O2")
@@ -294,7 +294,7 @@ def test_the_header_says_what_is_proved_of_the_error(machine: Subject) -> None:
     """A practical design has a bound, rounded up; it does not claim that the error goes to 0."""
     code = Source(file=machine.file, name="loop", single=False, given=False, unproved=())
     assert "all solutions track y_d with error going to 0." in header(code)
-    geared = of_spec(load_spec(SPECS / "gallery/gear_with_backlash.yaml"), 1e-3, steps=2)
+    geared = exported("gallery/gear_with_backlash", 1e-3, steps=2)
     assert geared.file.practical is not None
     (bound,) = geared.file.practical
     code = Source(file=geared.file, name="loop", single=False, given=False, unproved=())
@@ -310,7 +310,7 @@ def test_every_claim_of_the_header_is_among_the_claims(machine: Subject) -> None
     listed = [
         re.escape(claim).replace("…", ".*") for claim in re.findall(r"^\| code \| `(.+?)` \|", text, re.MULTILINE)
     ]
-    geared = of_spec(load_spec(SPECS / "gallery/gear_with_backlash.yaml"), 1e-3, steps=2)
+    geared = exported("gallery/gear_with_backlash", 1e-3, steps=2)
     for file, unproved in ((machine.file, ()), (machine.file, ("the reference grows",)), (geared.file, ())):
         code = Source(file=file, name="loop", single=False, given=False, unproved=unproved)
         said = header(code).partition("of pwatrack.\n")[2].partition(" *\n")[0]

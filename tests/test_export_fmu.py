@@ -70,7 +70,8 @@ def exact(name: str) -> Spec:
 @cache
 def made(name: str) -> tuple[Spec, Result, ControllerFile]:
     spec = exact(name)
-    return spec, simulate(spec), of_spec(spec, steps=10).file
+    subject = of_spec(spec, steps=10)
+    return spec, simulate(spec, subject.controller), subject.file
 
 
 def source_of(file: ControllerFile, *, given: bool = False) -> Source:

@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from pwatrack import load_spec
-from pwatrack.commands.export import Subject, of_spec
+from pwatrack.commands.export import Subject
 from pwatrack.commands.verify import CERTIFICATE, CONTROLLER
 from pwatrack.export.controller import Controller
 from pwatrack.export.matlab import write
 from pwatrack.export.source import Source
-from tests.conftest import SPECS
-from tests.exported import machine_of, with_pieces, with_reversed_limits
+from tests.exported import exported, machine_of, with_pieces, with_reversed_limits
 from tests.test_cli import call, refused
 from tests.test_export_st import SOME
 from tests.test_outcome import cart
@@ -43,7 +41,7 @@ def written(subject: Subject, folder: Path, *, given: bool = False) -> Path:
 @octave
 @pytest.mark.parametrize("name", SOME)
 def test_no_bit_of_the_input_differs_in_octave(name: str, tmp_path: Path) -> None:
-    subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=300)
+    subject = exported(name, SOME[name], steps=300)
     for given in (False, True):
         folder = written(subject, tmp_path / str(given), given=given)
         assert said(folder, "disp(loop_replay()); s = load('loop.mat'); disp(size(s.vector.y, 1));") == ["0", "300"]

@@ -16,8 +16,7 @@ from pwatrack.commands.verify import CERTIFICATE, CONTROLLER
 from pwatrack.export.controller import Controller
 from pwatrack.export.source import Source
 from pwatrack.export.structured_text import function_block, program_text
-from tests.conftest import SPECS
-from tests.exported import machine_of, with_pieces, with_reversed_limits
+from tests.exported import exported, machine_of, with_pieces, with_reversed_limits
 from tests.structured_text import Block, Program
 from tests.test_cli import call, refused
 from tests.test_outcome import cart
@@ -77,7 +76,7 @@ FORMS = {  # single, given: two of the four each, since it takes time to parse
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOME)
 def test_no_bit_differs_from_the_controller(name: str) -> None:
-    subject = of_spec(load_spec(SPECS / f"{name}.yaml"), SOME[name], given=True, steps=STEPS)
+    subject = exported(name, SOME[name], steps=STEPS)
     for single, given in FORMS[name]:
         pairs = list(both(subject, single=single, given=given))
         assert len(pairs) == STEPS
@@ -202,7 +201,7 @@ def said_of(text: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def pumps() -> Subject:
-    return of_spec(load_spec(SPECS / "gallery/two_pumps_two_tanks.yaml"), 1e-2, given=True, steps=60)
+    return exported("gallery/two_pumps_two_tanks", 1e-2, steps=60)
 
 
 NAMED: dict[tuple[str, ...], list[str]] = {

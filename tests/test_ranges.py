@@ -11,8 +11,8 @@ from pwatrack.claims.ranges import ProgramRanges
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_disturbances import row
 from pwatrack.export.controller import Controller
-from pwatrack.model.pwa import PWASystem
 from pwatrack.report.files import write_design
+from tests.beside import beside
 from tests.test_cli import call
 from tests.test_sampled_bounds import FRICTION, MACHINE
 
@@ -60,40 +60,24 @@ def ran(spec: Spec, controller: ProvedController, folder: Path, seed: int, *, si
     """
     plant, random, disturbance = controller.plant, np.random.default_rng(seed), spec.scenario.conditions.disturbance
     loop = Controller.load(folder / "controller.json", single=single)
-    bounds = controller.claim(ProgramRanges).bounds
-    x, waits = simulate(spec, controller).response.x[0], [np.zeros(1)] * bounds.errors.gains.delay
-    acts, ticks = bounds.acts, int(spec.scenario.duration / loop.sample_time)
-    nothing = np.zeros(len(acts.near))
-    noise = np.sqrt(acts.squares.get(("noise", 0), nothing))
+    bounds, h = controller.claim(ProgramRanges).bounds, loop.sample_time
+    ticks, seen = int(spec.scenario.duration / h), dict[str, list[Array]]()
+    noise = np.sqrt(bounds.acts.squares.get(("noise", 0), np.zeros(len(bounds.acts.near))))
     push = 0.007 * np.array([name == "v1" for name in plant.states])
-    seen = dict[str, list[Array]]()
-    for k in range(ticks):
-        n, d = random.choice([-1, 1], size=2)
-        u = loop.step(plant.C @ x + n * noise[k * len(noise) // ticks]).astype(float)
+
+    def step(k: int, x: Array) -> Array:
+        u = loop.step(plant.C @ x + random.choice([-1, 1]) * noise[k * len(noise) // ticks])
         for name in ("y", "u", "x_hat", "s_hat", "x_d", "eta_hat", "w"):
             seen.setdefault(name, []).append(loop.state(name).astype(float))
-        waits.append(u)
-        held = plant.B @ waits.pop(0) + d * push
-        if plant.loads is not None and disturbance is not None:
-            held = held + disturbance(k * loop.sample_time)
-        x = moved(plant, x, held, loop.sample_time)
+        return u.astype(float)
+
+    def pushed(k: int) -> Array:
+        loads = disturbance if plant.loads is not None else None
+        return np.asarray(random.choice([-1, 1]) * push + (0.0 if loads is None else loads(k * h)))
+
+    x, delay = simulate(spec, controller).response.x[0], bounds.errors.gains.delay
+    beside(plant, step, x, ticks=ticks, h=h, delay=delay, pushed=pushed)
     return {name: np.array(values) for name, values in seen.items()}
-
-
-def moved(plant: PWASystem, x: Array, held: Array, h: float, steps: int = 20) -> Array:
-    """Return x after a time by Runge and Kutta, in the cell in which each stage is."""
-
-    def rate(x: Array) -> Array:
-        i = plant.partition.locate(x)
-        return np.asarray(plant.A[i] @ x + plant.b[i] + held)
-
-    dt = h / steps
-    for _ in range(steps):
-        k1 = rate(x)
-        k2 = rate(x + dt / 2 * k1)
-        k3 = rate(x + dt / 2 * k2)
-        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + dt * k3))
-    return x
 
 
 @pytest.mark.parametrize("single", [False, True])

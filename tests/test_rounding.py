@@ -28,11 +28,12 @@ from pwatrack.export.fixed_point import FixedPoint
 from pwatrack.export.reading import FULL, Reading, narrowed, nearest, run, stepped
 from pwatrack.export.rounding import Rounding, beside_cells, largest, of_run, units_of
 from pwatrack.export.source import Source
+from tests.beside import beside
 from tests.exported import machine_of, with_pieces
 from tests.misra import checked, listed
 from tests.test_cli import call, refused
 from tests.test_export_c import built
-from tests.test_ranges import MORE, moved
+from tests.test_ranges import MORE
 from tests.test_sampled_bounds import FRICTION, TANK
 from tests.tools import COMPILERS, SANE
 
@@ -168,17 +169,19 @@ def ran(subject: Subject, step: Callable[[Array], Array], seed: int) -> tuple[Ar
     spec, controller = subject.spec, subject.controller
     plant, bounds = controller.plant, controller.claim(ProgramRanges).bounds
     h, disturbance = bounds.errors.gains.sample_time, spec.scenario.conditions.disturbance
-    x, waits = simulate(spec, controller).response.x[0], [np.zeros(1)] * bounds.errors.gains.delay
-    noise, random, found = bounds.noise, np.random.default_rng(seed), list[tuple[Array, Array]]()
-    for k in range(int(spec.scenario.duration / h)):
-        u = step(plant.C @ x + random.choice([-1, 1]) * noise)
-        found.append((x, u))
-        waits.append(u)
-        held = plant.B @ waits.pop(0)
-        if plant.loads is not None and disturbance is not None:
-            held = held + disturbance(k * h)
-        x = moved(plant, x, held, h)
-    return np.array([x for x, _ in found]), np.array([u for _, u in found])
+    x, delay = simulate(spec, controller).response.x[0], bounds.errors.gains.delay
+    random, u = np.random.default_rng(seed), list[Array]()
+    loads = disturbance if plant.loads is not None else None
+
+    def put_out(_: int, x: Array) -> Array:
+        u.append(step(plant.C @ x + random.choice([-1, 1]) * bounds.noise))
+        return u[-1]
+
+    def pushed(k: int) -> Array | float:
+        return 0.0 if loads is None else loads(k * h)
+
+    found = beside(plant, put_out, x, ticks=int(spec.scenario.duration / h), h=h, delay=delay, pushed=pushed)
+    return found, np.array(u)
 
 
 def whole_of(found: Rounding) -> tuple[Callable[[Array], Array], list[dict[str, object]]]:
@@ -286,8 +289,8 @@ def test_single_floats_are_within_what_is_said_of_them(rounded: tuple[Subject, R
     code = source(subject)
     single = of_run(controller, code, "float32", found.given)
     steps = {kind: Controller(subject.file, single=kind) for kind in (False, True)}
-    x, beside = (ran(subject, one.step, 4)[0] for one in steps.values())
-    off = np.abs((x - beside) @ controller.plant.tracked.T)[:, 0]
+    x, other = (ran(subject, one.step, 4)[0] for one in steps.values())
+    off = np.abs((x - other) @ controller.plant.tracked.T)[:, 0]
     real, most = found.ranges.bounds.ends_below(controller), single.bounds.ends_below(controller)
     assert off.max() <= most["output", 0] - real["output", 0] or code.program.quantum.any()
     assert 0 < most["output", 0] - real["output", 0] < 0.1
@@ -310,9 +313,9 @@ def test_the_difference_to_floats_is_within_what_rounding_adds(rounded: tuple[Su
     floats = Reading(source(subject).step)
     step, _ = whole_of(found)
     x, _ = ran(subject, step, 3)
-    beside, _ = ran(subject, lambda y: np.array(floats.step(y.tolist())["u"]), 3)
+    other, _ = ran(subject, lambda y: np.array(floats.step(y.tolist())["u"]), 3)
     assert subject.controller is not None
-    off = np.abs((x - beside) @ subject.controller.plant.tracked.T)[:, 0]
+    off = np.abs((x - other) @ subject.controller.plant.tracked.T)[:, 0]
     bounds, count = found.bounds, len(found.bounds.acts.near)
     squares: dict[Channel, Array] = {
         ("rounding", 0): bounds.acts.squares["rounding", 0],
