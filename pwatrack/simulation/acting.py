@@ -16,6 +16,7 @@ Bernstein coefficients enclose the differences, and what the integrals of their 
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import islice
 from math import ceil
 
 import numpy as np
@@ -292,15 +293,15 @@ class _Walk:
         ):
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
             self._sizes = np.maximum(self._sizes, np.abs(x_d @ self._followed.T).max(axis=0))
-            known = [(now, *own) for now, own in zip(x_d[:: self._parts], ticks, strict=False)]
-            own = [np.array(values) for values in [*zip(*known, strict=True)][1:]]
+            now = x_d[:: self._parts]
+            own = [np.array(values) for values in zip(*islice(ticks, len(now)), strict=True)]
             for name, values in zip(("x_d", "u_ff", "eta_hat", "w"), own, strict=False):
                 self._see(name, values, values)
             if self._others is not None:
                 y = np.hstack([own[4], own[2], own[3], np.ones((len(own[0]), 1))])
                 self._made.append(self._others.at(y))
                 self._known.append(own[0])
-            u = np.array([u_ff + self._runs.K @ (now - wanted) for now, wanted, u_ff, *_ in known])
+            u = own[1] + (now - own[0]) @ self._runs.K.T
             u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0
             yield self._beside(flow, trace, x_d @ self._R.T, u, own[0] @ self._V.T)
             self._ticks += len(u)
@@ -312,21 +313,23 @@ class _Walk:
         F = np.pad(segments.F, ((0, 0), (n + m + q, 0), (n + m + q, 0)))
         F[:, :n, :n], F[:, :n, n : n + m] = self._A0, self._plant.B
         F[:, :n, n + m + q :] = -self._plant.B @ self._trajectory.u_ff[[mode[0] for mode in segments.modes]]
-        before = np.zeros((len(at), n + m + q))
         turns = self._turns(F, segments)
         driven = np.einsum("knj,kj->kn", turns[:, :, n + m + q :], segments.zeta)
-        e, last, held = self._e, -1, np.zeros(m + q)
-        for i, substep in enumerate(at.tolist()):
-            if substep != last:
-                if substep // self._parts != last // self._parts or last < 0:
-                    e = e * (self._ticks + substep // self._parts > self._runs.sampling.delay)
-                    held[:m] = u[substep // self._parts] + self._runs.K @ e
-                    held[m + self._q :] = drawn[substep // self._parts]
-                    self._changes = np.maximum(self._changes, np.abs(held[:m] - self._last))
-                    self._last = held[:m].copy()
-                held[m : m + self._q], last = moving[substep] + self._R @ e, substep
-            before[i, :n], before[i, n:] = e, held
-            e = turns[i, :, :n] @ e + turns[i, :, n : n + m] @ held[:m] + driven[i]
+        before, own, K, R = np.zeros((len(at), n + m + q)), turns[:, :, : n + m], self._runs.K, self._R
+        begins, ticks = np.diff(at, prepend=-1) > 0, at // self._parts
+        ticked = np.diff(ticks, prepend=-1) > 0
+        e, held, late = self._e, np.zeros(m + q), self._runs.sampling.delay - self._ticks
+        for i, (row, tick) in enumerate(zip(before, ticks.tolist(), strict=True)):
+            if ticked[i]:
+                e = e * (tick > late)
+                held[:m], held[m + self._q :] = u[tick] + K @ e, drawn[tick]
+            if begins[i]:
+                held[m : m + self._q] = moving[at[i]] + R @ e
+            row[:n], row[n:] = e, held
+            e = own[i] @ row[: n + m] + driven[i]
+        put_out = np.vstack([self._last, before[ticked, n : n + m]])
+        self._last = put_out[-1]
+        self._changes = np.maximum(self._changes, np.abs(np.diff(put_out, axis=0)).max(axis=0))
         self._see("u", before[:, n : n + m], before[:, n : n + m])
         self._e, self._largest = (
             e,
@@ -354,19 +357,25 @@ def held(runs: SampledController, eta: Array, loads: LoadsAlong) -> Iterator[tup
     """
     follows, h, ahead = runs.follows, runs.sampling.sample_time, runs.sampling.ahead
     assert follows is not None
-    starts, w, tick = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy(), 0
+    starts, w = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy()
     begins, before = sorted(starts), expm(loads.S * (-ahead * h))  # ŝ is that of the tick, before u acts
-    each = loads.ticks
-    for early, now in zip(follows.early, each, strict=False):
-        s = np.concatenate([before @ now, eta, early, [1.0]])
-        i = cell(runs.sides, runs.guards @ s)
-        yield runs.x_d[i] @ s, np.zeros(runs.u_ff.shape[1]), eta, early, now
-        eta = runs.generator[i] @ s
-    for now in each:
+    tables = np.concatenate([runs.x_d, runs.u_ff, runs.generator], axis=1)
+    ends, k = np.cumsum([runs.x_d.shape[1], runs.u_ff.shape[1]]), len(before)
+    known, alone = np.concatenate([before @ loads.start, eta, w, [1.0]]), len(tables) == 1
+
+    def made(s: Array, eta: Array, w: Array) -> tuple[Array, Array, Array]:
+        known[:k], known[k : k + len(eta)], known[k + len(eta) : -1] = before @ s, eta, w
+        both = tables[0 if alone else cell(runs.sides, runs.guards @ known)] @ known
+        return both[: ends[0]], both[ends[0] : ends[1]], both[ends[1] :]
+
+    for early, s in zip(follows.early, loads.ticks, strict=False):
+        x_d, _, after = made(s, eta, early)
+        yield x_d, np.zeros(runs.u_ff.shape[1]), eta, early, s
+        eta = after
+    for tick, s in enumerate(islice(loads.ticks, len(follows.early), None)):
         while begins and begins[0][0] <= tick:
             begin = begins.pop(0)
             w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
-        s = np.concatenate([before @ now, eta, w, [1.0]])
-        i = cell(runs.sides, runs.guards @ s)
-        yield runs.x_d[i] @ s, runs.u_ff[i] @ s, eta, w, now
-        eta, w, tick = runs.generator[i] @ s, follows.turn[0] @ w if len(w) else w, tick + 1
+        x_d, u_ff, after = made(s, eta, w)
+        yield x_d, u_ff, eta, w, s
+        eta, w = after, follows.turn[0] @ w if len(w) else w
