@@ -16,15 +16,16 @@ def beside(
     ticks: int,
     h: float,
     delay: int = 0,
-    pushed: Callable[[int], Array | float] = lambda _: 0.0,
+    disturbance: Callable[[float], Array] | None = None,
     substeps: int = 20,
 ) -> Array:
-    """Return x at so many ticks, h apart: u = step(k, x) acts `delay` ticks later, and `pushed` on x' from k on."""
+    """Return x at so many ticks, h apart: u = step(k, x) acts `delay` ticks later; x' is disturbed from tick on."""
     found, waits = list[Array](), [np.zeros(plant.B.shape[1])] * delay
     for k in range(ticks):
         found.append(x)
         waits.append(step(k, x))
-        x = moved(plant, x, plant.B @ waits.pop(0) + pushed(k), h / substeps, substeps)
+        held = plant.B @ waits.pop(0) + (0.0 if disturbance is None else disturbance(k * h))
+        x = moved(plant, x, held, h / substeps, substeps)
     return np.array(found)
 
 

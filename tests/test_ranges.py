@@ -71,12 +71,12 @@ def ran(spec: Spec, controller: ProvedController, folder: Path, seed: int, *, si
             seen.setdefault(name, []).append(loop.state(name).astype(float))
         return u.astype(float)
 
-    def pushed(k: int) -> Array:
-        loads = disturbance if plant.loads is not None else None
-        return np.asarray(random.choice([-1, 1]) * push + (0.0 if loads is None else loads(k * h)))
+    def pushed(t: float) -> Array:
+        loads = 0.0 if plant.loads is None or disturbance is None else disturbance(t)
+        return np.asarray(random.choice([-1, 1]) * push + loads)
 
     x, delay = simulate(spec, controller).response.x[0], bounds.errors.gains.delay
-    beside(plant, step, x, ticks=ticks, h=h, delay=delay, pushed=pushed)
+    beside(plant, step, x, ticks=ticks, h=h, delay=delay, disturbance=pushed)
     return {name: np.array(values) for name, values in seen.items()}
 
 

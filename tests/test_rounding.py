@@ -171,16 +171,13 @@ def ran(subject: Subject, step: Callable[[Array], Array], seed: int) -> tuple[Ar
     h, disturbance = bounds.errors.gains.sample_time, spec.scenario.conditions.disturbance
     x, delay = simulate(spec, controller).response.x[0], bounds.errors.gains.delay
     random, u = np.random.default_rng(seed), list[Array]()
-    loads = disturbance if plant.loads is not None else None
 
     def put_out(_: int, x: Array) -> Array:
         u.append(step(plant.C @ x + random.choice([-1, 1]) * bounds.noise))
         return u[-1]
 
-    def pushed(k: int) -> Array | float:
-        return 0.0 if loads is None else loads(k * h)
-
-    found = beside(plant, put_out, x, ticks=int(spec.scenario.duration / h), h=h, delay=delay, pushed=pushed)
+    loads, ticks = None if plant.loads is None else disturbance, int(spec.scenario.duration / h)
+    found = beside(plant, put_out, x, ticks=ticks, h=h, delay=delay, disturbance=loads)
     return found, np.array(u)
 
 

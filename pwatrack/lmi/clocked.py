@@ -14,7 +14,7 @@ J ↦ Jᵀ P_0 J is convex, so the vertices do. Of a box without edges there is 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise, product
 
@@ -32,7 +32,6 @@ _BITS = (40, 80)  # of the entries of P_k
 _DIGITS = 6  # of the diagonals of T_k
 _LOOKS = 5  # at a rate, at most, once one is proved
 _SHARES = (0.9, 0.75, 0.5)  # of what parts by themselves reach: what is asked of the whole
-_AGAIN = 2  # times that forms are sought in coordinates of the best ones, once the whole has what is asked, or not
 _MANY = 16, 700  # boxes, or unknowns, from which on each look takes seconds
 _OF_MANY = (0.5,)  # what is asked then
 
@@ -124,16 +123,11 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
         if best.rate >= share * most:
             break
         for one in program.around(share * most):
-            best = _faster(best, one.at(share * most))
+            best = best.or_faster(one.at(share * most))
             if best.rate >= share * most:
                 break
-        for _ in range(_AGAIN):
-            best = _faster(best, replace(program, near=best.P[0]).at(max(best.rate, share * most)))
+        best = program.again(best, share * most)
     return proved_forms(system, best, best.rate)
-
-
-def _faster(one: Forms, other: Forms | None) -> Forms:
-    return one if other is None or other.rate <= one.rate else other
 
 
 def proved_forms(system: Clocked, found: Forms, rate: float) -> ClockedProof | None:

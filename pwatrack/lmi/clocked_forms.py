@@ -26,7 +26,7 @@ _ROUNDS = 12  # in which boxes are added
 _HELD = 0.02  # of the margin that was found: what every other box is to keep
 _CORNERS = 6  # edges of a box of which all corners are looked at, for what no forms can do; of more so many at random
 _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not lose, if it does not grow
-_AGAIN = 2  # times that forms are looked for in coordinates of those that were found, before a larger rate is
+_AGAIN = 2  # times that forms are looked for in coordinates of those that were found
 _AROUND = (1.0, 0.9)  # of a rate: what coordinates are of, in which forms for it are looked for too
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
@@ -44,6 +44,10 @@ class Forms:
     P: list[Array]  # at the knots, (n, n) each
     T: Array  # their diagonals, (knots, p)
     rate: float  # that they seem to prove, in 1/s
+
+    def or_faster(self, other: "Forms | None") -> "Forms":
+        """Return the ones that prove a larger rate."""
+        return self if other is None or other.rate <= self.rate else other
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,9 +237,7 @@ class ClockedForms:
         program, first = self, self.at(0.0)
         if first is None or not first.rate > 0:
             return None
-        for _ in range(_AGAIN):
-            again = replace(self, near=first.P[0]).at(first.rate)
-            first = again if again is not None and again.rate > first.rate else first
+        first = self.again(first)
 
         def at(rate: float) -> tuple[float, Forms] | None:
             nonlocal program
@@ -247,6 +249,12 @@ class ClockedForms:
 
         program = replace(self, near=first.P[0])
         return bisected((first.rate, first), most, at, near=_NEAR, most=looks)[1]
+
+    def again(self, found: Forms, rate: float = 0.0) -> Forms:
+        """Return what is found in coordinates of forms, at their rate or a larger one that is asked, or these."""
+        for _ in range(_AGAIN):
+            found = found.or_faster(replace(self, near=found.P[0]).at(max(found.rate, rate)))
+        return found
 
     def most_of_parts(self, blocks: Sequence[int], looks: int) -> float | None:
         """Return the largest rate that parts of z have as if each were by itself; None where one has none."""

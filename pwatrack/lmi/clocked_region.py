@@ -144,7 +144,7 @@ class SaturatedTicks:
     def _sought(self, system: Clocked, G: Array, rows: Array, decay: float) -> tuple[list[Array], Array] | None:
         """Return P and T at the knots, in floating point: with Gᵀ P_N G ⪯ I, rowsᵀ rows ⪯ P_N / t for the largest t.
 
-        In coordinates in which the loop without limits, starts and rows are of size 1, and t is 1 at most.
+        In coordinates in which the loop without limits, starts and rows are of size 1; t ≤ 1 where rows see starts.
         """
         clock, rate = looked_for(system, self.knots), decay * self.rate
         L = np.asarray(np.linalg.cholesky(self.near)).T

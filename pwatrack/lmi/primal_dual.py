@@ -132,7 +132,7 @@ def _minimise(
     linear: LinearMap, at: _Iterate, share: float, against: float | None, nothing: float
 ) -> tuple[_Iterate, int, bool] | None:
     """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
-    best, gaps, least = None, list[float](), np.inf
+    best, gaps, lowest = None, list[float](), np.inf
     aim = 1.0 if share <= _SIGN else _SOON / share
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
     scalings = _scalings(linear, at)
@@ -143,8 +143,8 @@ def _minimise(
         gap, mu = rest.gap, rest.gap / linear.blocks.order
         wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
-        least = min(least, gap)
-        if not 0 < gap < np.inf or (best is not None and gap > _LOST * least):
+        lowest = min(lowest, gap)
+        if not 0 < gap < np.inf or (best is not None and gap > _LOST * lowest):
             break
         if not max(off) <= _OFF and _impossible(linear, at, rest):
             return at, number, True

@@ -361,18 +361,18 @@ def held(runs: SampledController, eta: Array, loads: LoadsAlong) -> Iterator[tup
     begins, before = sorted(starts), expm(loads.S * (-ahead * h))  # ŝ is that of the tick, before u acts
     tables = np.concatenate([runs.x_d, runs.u_ff, runs.generator], axis=1)
     ends, k = np.cumsum([runs.x_d.shape[1], runs.u_ff.shape[1]]), len(before)
-    known, alone = np.concatenate([before @ loads.start, eta, w, [1.0]]), len(tables) == 1
+    known, alone, each = np.concatenate([before @ loads.start, eta, w, [1.0]]), len(tables) == 1, loads.ticks
 
     def made(s: Array, eta: Array, w: Array) -> tuple[Array, Array, Array]:
         known[:k], known[k : k + len(eta)], known[k + len(eta) : -1] = before @ s, eta, w
         both = tables[0 if alone else cell(runs.sides, runs.guards @ known)] @ known
         return both[: ends[0]], both[ends[0] : ends[1]], both[ends[1] :]
 
-    for early, s in zip(follows.early, loads.ticks, strict=False):
+    for early, s in zip(follows.early, each, strict=False):
         x_d, _, after = made(s, eta, early)
         yield x_d, np.zeros(runs.u_ff.shape[1]), eta, early, s
         eta = after
-    for tick, s in enumerate(islice(loads.ticks, len(follows.early), None)):
+    for tick, s in enumerate(each):
         while begins and begins[0][0] <= tick:
             begin = begins.pop(0)
             w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
