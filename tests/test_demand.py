@@ -150,9 +150,10 @@ def taken(name: str, seed: int, count: int) -> tuple[Array, Array]:
     """u_ff of (16) at each tick of its program, and what the program puts out for it, (count, m)."""
     controller, _ = made(name)
     spec = load_spec(PLANTS[name]())
-    program = runs(of_spec(spec, given=True, steps=2).file, given=True)
+    file = of_spec(spec, given=True, steps=2).file
+    program = runs(file, given=True)
     at, sizes = program.places, program.sizes
-    kept = memory(program, np.zeros(sizes["N"]), np.array(of_spec(spec, given=True, steps=2).file.started[1]))
+    kept = memory(program, np.zeros(sizes["N"]), np.array(file.started[1]))
     low, high = program.set_range[0]
     told_to = sequence(np.random.default_rng(seed), low, high, len(program.pace), count, program.sampling.sample_time)
     state = np.zeros((count, len(kept["memory"])))

@@ -42,16 +42,16 @@ def test_the_wheel_designs_the_example_away_from_its_sources(built: Path, tmp_pa
         content.extractall(packages)
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib"))  # what pip would have fetched
 
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
     def call(*arguments: str) -> str:
         command = [python, "-m", "pwatrack", *arguments]
-        env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
         run = subprocess.run(command, cwd=tmp_path, env=env, check=False, capture_output=True, text=True)
         assert run.returncode == 0, run.stderr
         return run.stdout
 
-    home = subprocess.run(
-        [python, "-c", "import pwatrack; print(pwatrack.__file__)"], cwd=tmp_path, capture_output=True
-    )
+    where = "import pwatrack; print(pwatrack.__file__)"
+    home = subprocess.run([python, "-c", where], cwd=tmp_path, env=env, check=True, capture_output=True)
     assert str(packages) in home.stdout.decode()
     call("init", "--from", "example")
     assert "Theorem 3" in call("design", "spec.yaml")
