@@ -25,6 +25,7 @@ from pwatrack.commands.verify import told_design, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.demand import Demand
 from pwatrack.errors import InvalidSpec, OutsideTheory
+from pwatrack.export.schema import ControllerFile
 from pwatrack.export.stored import runs
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.report.certificate import design_certificate
@@ -116,9 +117,10 @@ USED = dict(zip(PLANTS, (0.7, 0.8, 0.4, 0.3, 0.95, 0.4, 0.5), strict=True))  # o
 
 
 @cache
-def made(name: str) -> tuple[ProvedController, Demand]:
-    controller = design(load_spec(PLANTS[name]()))
-    return controller, controller.claim(SetPoints).demand
+def made(name: str) -> tuple[ControllerFile, ProvedController, Demand]:
+    subject = of_spec(load_spec(PLANTS[name]()), given=True, steps=2)
+    assert subject.controller is not None
+    return subject.file, subject.controller, subject.controller.claim(SetPoints).demand
 
 
 @njit
@@ -148,9 +150,7 @@ def sequence(random: np.random.Generator, low: float, high: float, outputs: int,
 
 def taken(name: str, seed: int, count: int) -> tuple[Array, Array]:
     """u_ff of (16) at each tick of its program, and what the program puts out for it, (count, m)."""
-    controller, _ = made(name)
-    spec = load_spec(PLANTS[name]())
-    file = of_spec(spec, given=True, steps=2).file
+    file, controller, _ = made(name)
     program = runs(file, given=True)
     at, sizes = program.places, program.sizes
     kept = memory(program, np.zeros(sizes["N"]), np.array(file.started[1]))
@@ -201,7 +201,7 @@ def test_it_is_the_closed_form_where_there_are_no_internal_states(
 @pytest.mark.parametrize("name", PLANTS)
 def test_no_sequence_of_set_points_leaves_the_interval(name: str) -> None:
     """10,000 steps: neither u_ff of (16) at a tick does, nor what the program makes of it over a sample."""
-    _, found = made(name)
+    *_, found = made(name)
     for values in taken(name, 1, 10_000):
         assert (values >= found.low).all()
         assert (values <= found.high).all()
@@ -319,7 +319,7 @@ def smaller(value: str) -> str:
 @pytest.mark.parametrize("name", ["stop", "backlash", "backlash, from afar", "kinked", "two outputs"])
 def test_the_auditor_agrees_and_sees_every_number_that_is_forged(name: str) -> None:
     spec = load_spec(PLANTS[name]())
-    controller, found = made(name)
+    _, controller, found = made(name)
     content = json.loads(json_text(design_certificate(spec, controller)), parse_float=str)
     said, faults = audit(json_text(content))
     assert not faults

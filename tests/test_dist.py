@@ -36,26 +36,22 @@ def test_the_wheel_designs_the_example_away_from_its_sources(built: Path, tmp_pa
     assert __version__ in wheel.name
     venv.create(tmp_path / "empty", symlinks=True)
     python = str(tmp_path / "empty" / "bin" / "python")
-    where = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    packages = Path(subprocess.run([python, "-c", where], check=True, capture_output=True, text=True).stdout.strip())
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+    def call(*arguments: str) -> str:
+        run = subprocess.run([python, *arguments], cwd=tmp_path, env=env, check=False, capture_output=True, text=True)
+        assert run.returncode == 0, run.stderr
+        return run.stdout
+
+    packages = Path(call("-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
     with zipfile.ZipFile(wheel) as content:
         content.extractall(packages)
     (packages / "libraries.pth").write_text(sysconfig.get_path("purelib"))  # what pip would have fetched
 
-    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-
-    def call(*arguments: str) -> str:
-        command = [python, "-m", "pwatrack", *arguments]
-        run = subprocess.run(command, cwd=tmp_path, env=env, check=False, capture_output=True, text=True)
-        assert run.returncode == 0, run.stderr
-        return run.stdout
-
-    where = "import pwatrack; print(pwatrack.__file__)"
-    home = subprocess.run([python, "-c", where], cwd=tmp_path, env=env, check=True, capture_output=True)
-    assert str(packages) in home.stdout.decode()
-    call("init", "--from", "example")
-    assert "Theorem 3" in call("design", "spec.yaml")
-    assert "fractions only" in call("verify", "runs/spec")
+    assert str(packages) in call("-c", "import pwatrack; print(pwatrack.__file__)")
+    call("-m", "pwatrack", "init", "--from", "example")
+    assert "Theorem 3" in call("-m", "pwatrack", "design", "spec.yaml")
+    assert "fractions only" in call("-m", "pwatrack", "verify", "runs/spec")
 
 
 def test_every_module_and_data_file_is_in_the_wheel_and_all_else_in_the_sdist(built: Path) -> None:
