@@ -36,9 +36,10 @@ which both are on one side of every plane. "drawn", "cell" and "eta" are of esti
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate, product
+from itertools import product
 
 import numpy as np
+from scipy.linalg import lapack
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, above, zero
@@ -121,7 +122,8 @@ def faded(added: Array, fall: float) -> Array:
 
 def _kept(added: Array, share: float) -> Array:
     """Return what is there after each of some additions, of which this share of what was there before is kept."""
-    return np.fromiter(accumulate(added.tolist(), lambda there, more: more + share * there), float, len(added))
+    band = np.array([np.ones(len(added)), np.full(len(added), -share)])
+    return np.asarray(lapack.dtbtrs(band, added[:, None], uplo="L")[0][:, 0])
 
 
 def driven(errors: SampledErrors, channel: Channel) -> Drive:

@@ -24,7 +24,7 @@ _MOST_ALONE = 6_000  # the same of the only search there is
 _MOST_OF_MANY = 13_000, 700  # the same where many sample times are looked at: each takes half a second then
 _NEAR = 0.05  # of the longest sample time: how near to it one is looked for
 _DIGITS = 3  # of a sample time that is looked at
-_DOUBLINGS = 6  # of a sample time, or halvings, until one is found that is proved and one that is not
+_FACTOR, _OFTEN = 4.0, 3  # by which a sample time is changed, and how often, until one is proved and one is not
 _MOST_TURNED = 20.0  # h times the size of what x_d and u_ff are made of: beyond it a sample is no short time
 _SHARES_OF_BOX = (0.5, 0.25, 0.1)  # of the rate that parts of z have by themselves: what is asked for a box
 _MOST_CELLS = 256  # of a hull, that are looked at one by one
@@ -84,6 +84,7 @@ def longest(
         estimates: How x_d and u_ff depend on estimates.
         sizes: Of signals, in which forms are looked for.
     """
+    too_long = dict[int, float]()  # for the fewest substeps and knots, and for the most
 
     def at(h: float) -> tuple[float, None] | None:
         h = rounded_down(h, _DIGITS)
@@ -92,17 +93,21 @@ def longest(
         gains = sampled_gains(plant, K, L, Sampling(sample_time=h, delay=near.delay, jitter=near.jitter))
         if too_much(plant, gains, estimates):
             return None
-        for errors, knots in _tried(SampledErrors.of(plant, gains, estimates, sizes), *_MOST_OF_MANY)[-1:]:
-            if clocked_proof(errors.clocked, knots=knots) is not None:
-                return h, None
+        tried = _tried(SampledErrors.of(plant, gains, estimates, sizes), *_MOST_OF_MANY)
+        for k in (0, len(tried) - 1)[: len(tried)]:
+            errors, knots = tried[k]
+            if h < too_long.get(k, np.inf):
+                if clocked_proof(errors.clocked, knots=knots) is not None:
+                    return h, None
+                too_long[k] = h
         return None
 
     def between(found: tuple[float, None], without: float) -> float:
         return bisected(found, without, at, near=_NEAR, middle=lambda one, other: (one * other) ** 0.5)[0]
 
     h, found = near.sample_time, at(near.sample_time)
-    factor = 0.5 if found is None else 2.0
-    for k in range(1, _DOUBLINGS + 1):
+    factor = 1 / _FACTOR if found is None else _FACTOR
+    for k in range(1, _OFTEN + 1):
         seen = at(h * factor**k)
         if found is None and seen is not None:
             return between(seen, h * factor ** (k - 1))

@@ -102,6 +102,10 @@ class ChainMap(LinearMap):
         """Return the τ of a vector."""
         return v[self.first : -1]
 
+    def vector(self, P: Array, T: Array, t: float) -> Array:
+        """Return the vector of the P_k, the τ and t."""
+        return np.concatenate([*map(self.P.of, P), T.ravel(), [t]])
+
     def apply(self, v: Array) -> Array:
         """Return A(v): the left-hand sides."""
         x = v[-1] * self.T

@@ -93,7 +93,7 @@ def clocked_proof(system: Clocked, *, knots: int, rate: float = 0.0) -> ClockedP
         >>> clocked_proof(often, knots=40) is None, clocked_proof(seldom, knots=40) is None
         (True, False)
     """
-    found = looked_for(system, knots).at(rate)
+    found = looked_for(system, knots).at(rate, any_margin=True)
     return None if found is None else proved_forms(system, found, rate)
 
 
@@ -119,15 +119,27 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
         return None
     most = program.most_of_parts(system.blocks, _LOOKS) or 0.0
     many = len(system.F) > _MANY[0] or program.unknowns > _MANY[1]
-    for share in shares or (_OF_MANY if many else _SHARES):
-        if best.rate >= share * most:
-            break
-        for one in program.around(share * most):
-            best = best.or_faster(one.at(share * most))
-            if best.rate >= share * most:
-                break
-        best = program.again(best, share * most)
+    best = _faster(program, best, [share * most for share in shares or (_OF_MANY if many else _SHARES)])
     return proved_forms(system, best, best.rate)
+
+
+def _faster(program: ClockedForms, best: Forms, rates: Sequence[float]) -> Forms:
+    """Return forms that have about the first of falling rates that any have, or a larger one."""
+    for rate in rates:
+        if best.rate >= rate:
+            break
+        for one in program.around(rate):
+            found = one.at(rate)
+            if found is None:
+                break  # in other coordinates there is none either
+            best = best.or_faster(found)
+            if best.rate >= rate:
+                break
+        else:
+            best = program.again(best, rate)
+            if best.rate >= rate:
+                return best
+    return program.again(best)
 
 
 def proved_forms(system: Clocked, found: Forms, rate: float) -> ClockedProof | None:

@@ -26,14 +26,16 @@ _ROUNDS = 12  # in which boxes are added
 _HELD = 0.02  # of the margin that was found: what every other box is to keep
 _CORNERS = 6  # edges of a box of which all corners are looked at, for what no forms can do; of more so many at random
 _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not lose, if it does not grow
-_AGAIN = 2  # times that forms are looked for in coordinates of those that were found
+_AGAIN, _FASTER = 4, 1.02  # times that forms are looked for in coordinates of those before, as long as it helps
 _AROUND = (1.0, 0.9)  # of a rate: what coordinates are of, in which forms for it are looked for too
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
-_GAP = 1e-2  # share of the margin that may be missed
+_GAP = 0.1  # share of the margin that may be missed
+_SIGN = 0.5  # the same where any will do, of what it is below 0 at least
 _OF_P = 0.01  # share of the margin that P_k ⪰ 0 is to keep
 
 Found = TypeVar("Found")
+Margin = tuple[Array, Array, float]  # P, (knots, n, n), T and what all inequalities are satisfied by
 Segment = tuple[int, int, int]  # the knots that it joins, and the one of them that is looked at
 
 
@@ -44,6 +46,13 @@ class Forms:
     P: list[Array]  # at the knots, (n, n) each
     T: Array  # their diagonals, (knots, p)
     rate: float  # that they seem to prove, in 1/s
+
+    def inside(self, L: Array, longer: Array) -> "Margin":
+        """Return them for L z, with u so much longer than v, tr P_0 = n; their margin there is not known."""
+        back = np.linalg.inv(L)
+        P, T = back.T @ np.array(self.P) @ back, self.T / longer**2
+        unit = np.trace(P[0]) / len(L)
+        return P / unit, T / unit, 0.0
 
     def or_faster(self, other: "Forms | None") -> "Forms":
         """Return the ones that prove a larger rate."""
@@ -64,6 +73,7 @@ class ClockedForms:
     period: float
     sizes: Array  # of z, (n,)
     near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
+    begin: "Forms | None" = None  # forms that nearly do: a search begins there
     asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def part(self, where: slice) -> "ClockedForms":
@@ -73,7 +83,7 @@ class ClockedForms:
         R, J = self.R[where, where], np.unique(self.J[:, where, where], axis=0)
         own = F if acting.any() else np.unique(F, axis=0)
         U, V = U[: len(own), :, acting], V[: len(own), acting]
-        return replace(self, F=own, U=U, V=V, J=J, R=R, sizes=self.sizes[where], near=None, asked={})
+        return replace(self, F=own, U=U, V=V, J=J, R=R, sizes=self.sizes[where], near=None, begin=None, asked={})
 
     def inside(self, L: Array, rate: float) -> "ClockedForms":
         """Return the program for L z, falling at a rate less, in periods, with edges of u and v of one length."""
@@ -134,7 +144,7 @@ class ClockedForms:
         for share in _AROUND:
             if share * rate < own:
                 with suppress(np.linalg.LinAlgError):
-                    yield replace(self, near=self._mean(share * rate))
+                    yield replace(self, near=self._mean(share * rate), begin=None)
 
     @property
     def count(self) -> int:
@@ -182,27 +192,28 @@ class ClockedForms:
         for J_j in J:
             yield self.parts * size - 1, 0, J_j, 0.25
 
-    def at(self, rate: float) -> Forms | None:
-        """Return forms that satisfy all inequalities at a rate with the largest margin, or None."""
+    def at(self, rate: float, *, any_margin: bool = False) -> Forms | None:
+        """Return forms that satisfy all inequalities at a rate with the largest margin, or with any, or None."""
         if rate >= self.most:
             return None
-        L = self.coordinates
+        L, longer = self.coordinates, self.longer(self.coordinates)
         weight, inside = np.eye(len(L)) * min(1.0, 2 * self.most * self.period), self.inside(L, rate)
+        begin = None if self.begin is None else self.begin.inside(L, longer)
 
         found = self.of_few(
-            lambda: inside.largest_margin(weight),
+            lambda last: inside.largest_margin(weight, last or begin, any_margin=any_margin),
             lambda found, s: inside.left(*found[:2], s) - _HELD * found[2] * self.share * weight,
             _WORST,
         )
         if found is None:
             return None
-        forms, T = [L.T @ P_k @ L for P_k in found[0]], found[1] * self.longer(L) ** 2
+        forms, T = [L.T @ P_k @ L for P_k in found[0]], found[1] * longer**2
         return Forms(forms, T, self.rate(forms, T))
 
     def of_few(
-        self, solved: Callable[[], Found | None], left: Callable[[Found, Segment], Array], worst: int
+        self, solved: Callable[[Found | None], Found | None], left: Callable[[Found, Segment], Array], worst: int
     ) -> Found | None:
-        """Return what is found for the boxes that are asked for and does for all, or None.
+        """Return what is found for the boxes that are asked for, after what is of fewer, and does for all, or None.
 
         Those that it does for the least, so many at each end of a segment, are asked for, too: `left` is what is left
         of the inequality of each box there, (v, n, n).
@@ -210,8 +221,9 @@ class ClockedForms:
         first = np.unique(np.linspace(0, len(self.F) - 1, _FIRST).astype(int)).tolist()
         for segment in self.segments:
             self.asked.setdefault(segment, list(first))
+        found: Found | None = None
         for _ in range(_ROUNDS):
-            found, added = solved(), 0
+            found, added = solved(found), 0
             if found is None:
                 return None
             for segment, asked in self.asked.items():
@@ -244,16 +256,22 @@ class ClockedForms:
             found = program.at(rate)
             if found is None or found.rate < rate:
                 return None
-            program = replace(program, near=found.P[0])
+            program = program.from_here(found)
             return found.rate, found
 
-        program = replace(self, near=first.P[0])
+        program = self.from_here(first)
         return bisected((first.rate, first), most, at, near=_NEAR, most=looks)[1]
+
+    def from_here(self, found: Forms) -> "ClockedForms":
+        """Return the program in coordinates of forms, where searches begin."""
+        return replace(self, near=found.P[0], begin=found)
 
     def again(self, found: Forms, rate: float = 0.0) -> Forms:
         """Return what is found in coordinates of forms, at their rate or a larger one that is asked, or these."""
         for _ in range(_AGAIN):
-            found = found.or_faster(replace(self, near=found.P[0]).at(max(found.rate, rate)))
+            last, found = found.rate, found.or_faster(self.from_here(found).at(max(found.rate, rate)))
+            if not found.rate > _FASTER * last:
+                break
         return found
 
     def most_of_parts(self, blocks: Sequence[int], looks: int) -> float | None:
@@ -295,8 +313,11 @@ class ClockedForms:
         """Return what ticks leave of the form beside rates: it need not lose there, if it does not grow."""
         return turned * (_STEEP / self.period)
 
-    def largest_margin(self, weight: Array) -> tuple[Array, Array, float] | None:
-        """Return P, (knots, n, n), and T with the largest margin for the boxes that are asked for; None without one."""
+    def largest_margin(self, weight: Array, begin: Margin | None, *, any_margin: bool = False) -> Margin | None:
+        """Return P, (knots, n, n), and T with the largest margin for the boxes that are asked for, or with any.
+
+        It may begin at others, whose margin does not count; None where there is none.
+        """
         eye = np.eye(self.F.shape[1])
         less = -eye / 2, eye
         bounds = [Bound({k: less}, _OF_P * weight) for k in range(self.count)]
@@ -304,7 +325,7 @@ class ClockedForms:
         bounds += [Bound({before: less, after: (X.T / 2, X)}, share * weight) for before, after, X, share in jumps]
         asked = self.asked.items()
         bounds += [self.falls(segment, i, self.share * weight) for segment, some in asked for i in some]
-        found = best_margin(bounds, self.count, self.scalars)
+        found = best_margin(bounds, self.count, self.scalars, begin, any_margin=any_margin)
         return None if found is None else (found[0], found[1].reshape(self.count, -1), found[2])
 
 
@@ -313,8 +334,10 @@ def _least(X: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh((X + X.transpose(0, 2, 1)) / 2)[:, 0])
 
 
-def best_margin(bounds: Sequence[Bound], count: int, scalars: int = 0) -> tuple[Array, Array, float] | None:
-    """Return P, (count, n, n), τ and the largest t > 0 that all bounds allow, P_0 of mean eigenvalue 1; or None.
+def best_margin(
+    bounds: Sequence[Bound], count: int, scalars: int = 0, begin: Margin | None = None, *, any_margin: bool = False
+) -> Margin | None:
+    """Return P, (count, n, n), τ and the largest t > 0 that all bounds allow, or any, tr P_0 = n; or None.
 
     Example: −P_0 + t I ⪯ 0.
 
@@ -324,7 +347,8 @@ def best_margin(bounds: Sequence[Bound], count: int, scalars: int = 0) -> tuple[
     """
     unit = max(float(np.abs(bound.T).max()) for bound in bounds)  # else multipliers are as large as a T is small
     chain = ChainMap([replace(bound, T=bound.T / unit) for bound in bounds], count, None, scalars)
-    v = least(chain, gap=_GAP)
+    near = None if begin is None else chain.vector(*begin)
+    v = least(chain, gap=_SIGN, against=0.0, near=near) if any_margin else least(chain, gap=_GAP, near=near)
     if v is None or not np.isfinite(v).all() or not v[-1] > 0:
         return None
     return chain.matrices(v), chain.scalars(v), float(v[-1]) / unit

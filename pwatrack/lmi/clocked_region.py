@@ -131,7 +131,7 @@ class SaturatedTicks:
         for decay in _DECAYS:
             found = self._sought(system, G / np.sqrt(few), H / np.where(room > 0, room, np.inf)[:, None], decay)
             if found is None:
-                continue
+                break  # nothing falls faster either
             T = short_diagonals(found[1] * (1 - _INSIDE))
             for bits in _BITS:
                 P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found[0])
@@ -161,7 +161,7 @@ class SaturatedTicks:
         jumps = inside.jumps(inside.J * np.exp(rate * clock.period / 4), inside.R)
         fixed += [Bound({before: less, after: (X.T / 2, X)}, nothing) for before, after, X, _ in jumps]
         found = inside.of_few(
-            lambda: inside.solved(fixed, lambda segment, i: inside.falls(segment, i, nothing), _GAP),
+            lambda _: inside.solved(fixed, lambda segment, i: inside.falls(segment, i, nothing), _GAP),
             lambda found, segment: inside.left(*found, segment),
             _WORST,
         )

@@ -100,7 +100,7 @@ class TubeProgram:
             rest=(a * h if summed and a else 1.0) * rest,
         )
         found = self.clock.of_few(
-            lambda: inside.solved(fixed, push.bound, _GAP, W / inside.count),
+            lambda _: inside.solved(fixed, push.bound, _GAP, W / inside.count),
             lambda found, segment: push.left(*found, segment),
             _WORST,
         )

@@ -44,7 +44,7 @@ DEGREES = (6, 4)  # that are tried, the first whose program is small enough
 _DECAYS = (1e-4, 1e-6)  # of the speed of the loop: what V falls with at least, so that there is a margin
 _LEAST = 1e-5  # of P, where the region is of size 1
 _STEPS, _TRUST, _LITTLE = 8, 0.3, 0.02  # changes of H: how many, and how large the first and the last may be
-_GAIN = 1.002  # of Σ w, which is scale^−2d: below it no further change of H is tried
+_GAIN = 1.01  # of Σ w, which is scale^−2d: where a change of H gains or promises less, no further one is tried
 _WORTH = 1.05  # times as much of the starts: with less another H is not worth what the region loses by it
 _WIDER, _GIVEN = 2, 1.002  # times that the region is made larger, for so much of Σ w
 _SEEN = 60  # directions for each state, in which it is looked at
@@ -224,6 +224,8 @@ class _Search:
         best = first
         for _ in range(_STEPS):
             changed = self._solved(best.H, decay, about=best.P, trust=trust)
+            if changed is not None and best.total <= _GAIN * changed.total:
+                break
             tried = None if changed is None else self._solved(changed.H, decay)
             if tried is None or not tried.total < best.total:
                 trust /= 4

@@ -41,6 +41,7 @@ _CORRECTIONS = 2  # made to the direction
 _LONGER = 1.02  # times the product of the step lengths, what a correction must bring
 _SHARE = (0.85, 0.995)  # of the way to the boundary, where that is short and where it is a whole step
 _NOTHING = 1e-3  # of the objective of the program before it in a sequence: what counts as 0
+_MARGIN, _WIDER = 0.01, 12  # t < 0 that a start near a known answer has, and how often it is made four times so large
 _CHANGED = 0.1  # of the largest mean of S Z that an answer has in the next program: μ that this one begins with
 _IMPOSSIBLE = 1e-8  # A*(Z) relative to tr C Z > 0, at which the Z_i are called a proof that nothing satisfies all
 _DENSE = 2e6  # multiplications in a step, up to which one matrix for the whole program is quicker than its form
@@ -97,8 +98,11 @@ def solve(
     )
 
 
-def least(linear: LinearMap, *, gap: float) -> Array | None:
+def least(linear: LinearMap, *, gap: float, against: float | None = None, near: Array | None = None) -> Array | None:
     """Return v that satisfies the constraints with nearly the least cost; None where none does, or it is stuck.
+
+    With a number `against` it ends where the cost is less, and where it cannot be, as `solve` does. Where the cost is
+    the last entry, which is a margin, it may begin `near` a v of which the others are good.
 
     Example: the largest t with t I ⪯ 2 P, tr P = 1.
 
@@ -108,7 +112,10 @@ def least(linear: LinearMap, *, gap: float) -> Array | None:
         np.float64(2.0)
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
-        found = _minimise(linear, _start(linear), gap, None, 0.0)
+        begun = None if near is None else _centred(linear, near)
+        found = None if begun is None else _minimise(linear, begun, gap, against, 0.0)
+        if found is None or found[2]:
+            found = _minimise(linear, _start(linear), gap, against, 0.0)
     return None if found is None or found[2] else found[0].v
 
 
@@ -210,6 +217,26 @@ def _start(linear: LinearMap) -> _Iterate:
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
     v, y = np.zeros(linear.size), np.zeros(len(linear.values))
     return _Iterate(v=v, image=np.zeros(linear.blocks.size), s=s, z=z, y=y)
+
+
+def _centred(linear: LinearMap, near: Array) -> _Iterate | None:
+    """Return a start with all but the last entry t of v as they are, and all S Z = μ I; None where there is none.
+
+    All constraints are satisfied for some t < 0, and μ is such that so is the multipliers' equation of t.
+    """
+    v = near.copy()
+    v[-1] = 0.0
+    image, each = linear.apply(v), linear.apply(np.eye(1, linear.size, linear.size - 1)[0])
+    for t in -_MARGIN * 4.0 ** np.arange(_WIDER):
+        s, z = -linear.constant - image - t * each, np.empty(linear.blocks.size)
+        with suppress(np.linalg.LinAlgError):
+            for S, Z in zip(linear.blocks.stacks(s), linear.blocks.stacks(z), strict=True):
+                np.linalg.cholesky(S)
+                Z[:] = np.linalg.inv(S)
+            v[-1] = t
+            z *= -linear.cost[-1] / (z @ each)
+            return _Iterate(v=v, image=image + t * each, s=s, z=z, y=np.zeros(len(linear.values)))
+    return None
 
 
 def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
