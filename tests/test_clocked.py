@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 import picos
@@ -142,6 +143,9 @@ def test_the_margin_is_that_of_another_solver(order: int) -> None:
     bounds += [Bound({1: less, 0: (J.T / 2, J)}, eye / 10), Bound({1: more, 0: less}, eye / 10)]
     found = best_margin(bounds, 2)
     assert found is not None
+    near, some = best_margin(bounds, 2, begin=found), best_margin(bounds, 2, any_margin=True)
+    assert near is not None
+    assert some is not None
     (P, Q), _, t = found
     assert np.trace(P) <= order * (1 + 1e-6)
     for X in F:
@@ -158,7 +162,11 @@ def test_the_margin_is_that_of_another_solver(order: int) -> None:
     problem.add_constraint(picos.trace(X) == order)
     problem.set_objective("max", s)
     problem.solve(solver="cvxopt")
-    assert t == pytest.approx(float(s.value), rel=0.03)
+    assert [t, near[2]] == pytest.approx([float(s.value)] * 2, rel=0.1)
+    assert 0 < some[2] < 1.001 * float(s.value)
+    growing = [Bound({0: (X.T + 2 * eye, eye), 1: less}, eye) for X in F] + bounds[3:]
+    for any_margin, begin in product((False, True), (None, found)):
+        assert best_margin(growing, 2, begin=begin, any_margin=any_margin) is None
 
 
 @pytest.mark.parametrize("edges", [1, 2, 3])
