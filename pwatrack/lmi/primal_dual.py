@@ -114,7 +114,7 @@ def least(linear: LinearMap, *, gap: float, against: float | None = None, near: 
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         begun = None if near is None else _centred(linear, near)
         found = None if begun is None else _minimise(linear, begun, gap, against, 0.0)
-        if found is None or found[2]:
+        if found is None or not _ended(linear, found[0], against):
             found = _minimise(linear, _start(linear), gap, against, 0.0)
     return None if found is None or found[2] else found[0].v
 
@@ -217,6 +217,13 @@ def _start(linear: LinearMap) -> _Iterate:
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
     v, y = np.zeros(linear.size), np.zeros(len(linear.values))
     return _Iterate(v=v, image=np.zeros(linear.blocks.size), s=s, z=z, y=y)
+
+
+def _ended(linear: LinearMap, at: _Iterate, against: float | None) -> bool:
+    """Say whether multipliers say how good v is, or whether it is as good as is asked for."""
+    if against is not None and linear.cost @ at.v < against:
+        return True
+    return bool(np.abs(_Rest(linear, at).slope).max() <= _ROUNDED * (1 + np.abs(linear.cost).max()))
 
 
 def _centred(linear: LinearMap, near: Array) -> _Iterate | None:
