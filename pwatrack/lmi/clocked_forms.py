@@ -47,7 +47,7 @@ class Forms:
     T: Array  # their diagonals, (knots, p)
     rate: float  # that they seem to prove, in 1/s
 
-    def inside(self, L: Array, longer: Array) -> "Margin":
+    def inside(self, L: Array, longer: Array) -> Margin:
         """Return them for L z, with u so much longer than v, tr P_0 = n; their margin there is not known."""
         back = np.linalg.inv(L)
         P, T = back.T @ np.array(self.P) @ back, self.T / longer**2
@@ -73,7 +73,7 @@ class ClockedForms:
     period: float
     sizes: Array  # of z, (n,)
     near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
-    begin: "Forms | None" = None  # forms that nearly do: a search begins there
+    begin: Forms | None = None  # forms that nearly do: a search begins there
     asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
 
     def part(self, where: slice) -> "ClockedForms":
@@ -144,7 +144,7 @@ class ClockedForms:
         for share in _AROUND:
             if share * rate < own:
                 with suppress(np.linalg.LinAlgError):
-                    yield replace(self, near=self._mean(share * rate), begin=None)
+                    yield replace(self, near=self._mean(share * rate))
 
     @property
     def count(self) -> int:
