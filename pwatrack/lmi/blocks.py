@@ -5,6 +5,7 @@ Z ≻ 0 there is one E with E S Eᵀ = E⁻ᵀ Z E⁻¹ = D, diagonal: the coord
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil, log
 
@@ -15,6 +16,7 @@ from pwatrack.arrays import Array
 _FURTHER = 1.12  # the longest step that is told apart from longer ones: nine tenths of it are a whole step
 _NEXT, _ROUGHLY = 0.98, 0.9  # of a length: the next shorter one that is tried
 _NOWHERE = 1000  # times that: no way to go
+_FEW = 12  # matrices of which all eigenvalues are quicker than whether all are definite
 
 
 class Blocks:
@@ -103,50 +105,37 @@ class Scaling:
         return np.asarray(self.E.transpose(0, 2, 1) @ X @ self.E)
 
 
-def step_length(change: Sequence[Array], scalings: Sequence[Scaling], *, roughly: bool = False) -> float:
-    """Return how far D may go along scaled changes before it leaves its cone, or a number above 1.1; or a little less.
+def step_lengths(
+    s: Sequence[Array], z: Sequence[Array], scalings: Sequence[Scaling], *, roughly: bool = False
+) -> tuple[float, float]:
+    """Return how far S = D and Z = D may go along scaled changes before they leave their cone; or a little less.
 
-    It is the first of a falling sequence of lengths that does, so that rounding seldom changes it. The least eigenvalue
-    of a part of each change says which are too long, and most often the next one is the one.
+    Each is the first of a falling sequence of lengths from above 1.1 on that does, so that rounding seldom changes it.
     """
-    least = min(_least(X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
     ratio = _ROUGHLY if roughly else _NEXT
-    short = 0 if -_FURTHER * least <= 1 else ceil(log(-_FURTHER * least) / -log(ratio))
-
-    def length(k: int) -> float:
-        return float(_FURTHER * ratio**k)
-
-    def stays(k: int) -> bool:
-        return all(_positive(length(k) * X, scaling.d) for X, scaling in zip(change, scalings, strict=True))
-
-    long, by = short - 1, 1
-    while short < _NOWHERE and not stays(short):
-        long, short, by = short, short + by, 2 * by
-    while short - long > 1:
-        middle = (long + short) // 2
-        long, short = (long, middle) if stays(middle) else (middle, short)
-    return length(short) if short < _NOWHERE else 0.0
+    found = (_lengths(np.array([*pair]), scaling.d, ratio) for *pair, scaling in zip(s, z, scalings, strict=True))
+    primal, dual = map(min, zip(*found, strict=True))
+    return primal, dual
 
 
-def _positive(X: Array, d: Array) -> bool:
-    """Say whether all D + X are positive definite; X is overwritten."""
-    np.einsum("ijj->ij", X)[:] += d
-    try:
-        np.linalg.cholesky(X)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+def _lengths(X: Array, d: Array, ratio: float) -> list[float]:
+    """Return them for one stack of each, (2, l, N, N).
+
+    Of large stacks the matrices that change most say them, if the others stay as well.
+    """
+    root = 1 / np.sqrt(d)
+    Y = X * (root[:, :, None] * root[:, None, :])
+    if Y.shape[1] > _FEW:
+        most = np.argpartition(np.einsum("ijkl,ijkl->ij", Y, Y), -_FEW, axis=1)[:, -_FEW:]
+        found = _first(np.take_along_axis(Y, most[:, :, None, None], axis=1), ratio)
+        with suppress(np.linalg.LinAlgError):
+            np.linalg.cholesky(np.eye(Y.shape[2]) + np.array(found)[:, None, None, None] * Y)
+            return found
+    return _first(Y, ratio)
 
 
-def _least(X: Array, d: Array) -> float:
-    """Return the least eigenvalue of D^-½ X D^-½, on the span of its image and e, where the diagonal is least."""
-    each, root = np.arange(len(X)), 1 / np.sqrt(d)
-    diagonal = np.diagonal(X, axis1=1, axis2=2) / d
-    k = diagonal.argmin(axis=1)
-    v = X[each, :, k] * root * root[each, k, None]
-    a = diagonal[each, k]
-    v[each, k] = 0.0
-    b = np.sqrt((v * v).sum(axis=1))
-    v *= root / np.where(b > 0, b, 1.0)[:, None]
-    c = (v * (X @ v[:, :, None])[:, :, 0]).sum(axis=1)
-    return float(((a + c) / 2 - np.hypot((a - c) / 2, b)).min())
+def _first(Y: Array, ratio: float) -> list[float]:
+    """Return the first of falling lengths at which all I + length · Y are positive definite, for both stacks."""
+    least = np.linalg.eigvalsh(Y)[..., 0].min(axis=1).tolist()
+    steps = [ceil(log(max(1.0, -_FURTHER * each)) / -log(ratio)) for each in least]
+    return [_FURTHER * ratio**k if k < _NOWHERE else 0.0 for k in steps]

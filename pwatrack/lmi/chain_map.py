@@ -84,6 +84,11 @@ class ChainMap(LinearMap):
         self.S = np.array([bounds[j].S for j in having]).reshape(*shape, N, N)
 
     @cached_property
+    def both(self) -> list[Array]:
+        """L and Rᵀ of each matrix side by side."""
+        return [np.concatenate([L, R.transpose(0, 2, 1)], axis=2) for _, L, R in self.of]
+
+    @cached_property
     def pairs(self) -> list[tuple[int, int, IntArray, IntArray]]:
         """Matrices k ≥ k' that some inequalities have together, and where these stand in the parts of both."""
         found = []
@@ -128,12 +133,13 @@ class ChainMap(LinearMap):
         """Write the lower triangle of H with v'ᵀ H v = Σ tr A_j(v) W_j A_j(v') W_j."""
         (W,) = self.blocks.stacks(w)
         H[-1] = self.adjoint((W @ self.T @ W).ravel())
-        low = self.P.rows, self.P.columns
+        low, n = (self.P.rows, self.P.columns), self.P.n
+        turned = [W[at] @ G for (at, _, _), G in zip(self.of, self.both, strict=True)]
         for k, other, one, two in self.pairs:
-            (at, L, R), (_, L_, R_) = (X[one] for X in self.of[k]), (X[two] for X in self.of[other])
-            LW, RW = L.transpose(0, 2, 1) @ W[at], R @ W[at]
-            first = np.concatenate([RW @ L_, RW @ R_.transpose(0, 2, 1)])
-            second = np.concatenate([LW @ R_.transpose(0, 2, 1), LW @ L_])  # transposed: (a, d)
+            X = self.both[k][one].transpose(0, 2, 1) @ turned[other][two]
+            L, R = X[:, :n], X[:, n:]  # times W, and each times L_ and R_ᵀ
+            first = np.concatenate([R[..., :n], R[..., n:]])
+            second = np.concatenate([L[..., n:], L[..., :n]])  # transposed: (a, d)
             whole = np.tensordot(second, first, axes=([0], [0]))  # (a, d, b, c)
             half = whole.transpose(0, 2, 1, 3)[low] + whole.transpose(2, 0, 1, 3)[low]
             H[self.places[k], self.places[other]] = 2 * (half + half.transpose(0, 2, 1))[:, *low]

@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from pwatrack.arrays import Array
-from pwatrack.lmi.blocks import Scaling, step_length
+from pwatrack.lmi.blocks import Scaling, step_lengths
 from pwatrack.lmi.linear_map import DenseMap, LinearMap
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
@@ -301,28 +301,23 @@ class _Step:
         """
         nowhere = [-x.d[:, :, None] * np.eye(x.d.shape[1]) for x in self.scalings]
         first = self.towards(nowhere, self.rest.pull if self.exact else None)
-        primal, dual = (min(1.0, length) for length in self._lengths(first, roughly=True))
+        primal, dual = (min(1.0, length) for length in step_lengths(first.s, first.z, self.scalings, roughly=True))
         after = 0.0
         for s, z, x in zip(first.s, first.z, self.scalings, strict=True):
             ds, dz = (float(np.vdot(x.d, _diagonal(X))) for X in (s, z))
             after += float(np.vdot(x.d, x.d)) + primal * ds + dual * dz + primal * dual * float(np.vdot(s, z))
         aim = max(min(1.0, max(0.0, after / self.linear.blocks.order / mu)) ** 3 * mu, least)
         best = self.towards(self._targets(first, aim))
-        reach = self._lengths(best)
+        reach = step_lengths(best.s, best.z, self.scalings)
         for _ in range(_CORRECTIONS):
             if min(reach) >= 1:
                 break
             other = self.towards(self._targets(best, aim))
-            further = self._lengths(other)
+            further = step_lengths(other.s, other.z, self.scalings)
             if min(1.0, further[0]) * min(1.0, further[1]) <= _LONGER * min(1.0, reach[0]) * min(1.0, reach[1]):
                 break
             best, reach = other, further
         return best, reach
-
-    def _lengths(self, move: _Move, *, roughly: bool = False) -> tuple[float, float]:
-        """Return how far S and Z may go."""
-        primal, dual = (step_length(changes, self.scalings, roughly=roughly) for changes in (move.s, move.z))
-        return primal, dual
 
     def _targets(self, move: _Move, aim: float) -> list[Array]:
         """Return what both changes, scaled, are to add up to for S Z = aim · I, with the second order of a move."""
