@@ -32,6 +32,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation import acting
 from pwatrack.simulation.desired import desired_flow
+from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.propagate import simulate_flow
 from tests.sampled import asking, worst_found
@@ -184,11 +185,11 @@ def fine_walk(spec: Spec, controller: ProvedController, start: list[float], fine
     claim, trajectory, plant = the_bounds(controller), controller.trajectory, controller.plant
     gains = claim.errors.gains
     runs = program(controller, Conditions(sampling=Sampling(sample_time=gains.sample_time)))
-    holds = acting.held(runs, np.array(start), LoadsAlong.of(controller, spec.scenario.conditions, gains))
     r, step = gains.substeps, gains.sample_time / (gains.substeps * fine)
     z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
     trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=spec.scenario.duration, sample_time=step)
     cell, count = trace.modes[:, 0], (len(trace.t) - 1) // (r * fine)
+    own = Held(runs, np.array(start), LoadsAlong.of(controller, spec.scenario.conditions, gains)).take(count)
     u_ff = np.einsum("kmj,kj->km", trajectory.u_ff[cell], trace.z)
     x_d = np.einsum("knj,kj->kn", trajectory.x_d[cell], trace.z)
     A, B = np.mean(np.unique(plant.A, axis=0), axis=0), plant.B
@@ -196,8 +197,7 @@ def fine_walk(spec: Spec, controller: ProvedController, start: list[float], fine
     e, found = np.zeros(len(A)), list[tuple[Array, Array, Array]]()
     for k in range(count * r):
         if k % r == 0:
-            wanted, known, *_ = next(holds)
-            held = known + gains.K @ (x_d[k * fine] - wanted) + gains.K @ e
+            held = own.u_ff[k // r] + gains.K @ (x_d[k * fine] - own.x_d[k // r]) + gains.K @ e
         for i in range(fine + 1):
             at_i = k * fine + i
             found.append((x_d[at_i], e, held - u_ff[at_i]))

@@ -17,10 +17,10 @@ from pwatrack.control.sampled_disturbances import row
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
-from pwatrack.simulation.acting import held
 from pwatrack.simulation.acting_estimates import OtherCells, crossed
 from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import desired_flow
+from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong, with_loads
 from pwatrack.simulation.propagate import simulate_flow
 from tests.sampled import worst_found
@@ -170,8 +170,7 @@ def test_the_walk_shows_what_acts(loop: tuple[str, Spec, ProvedController, Sampl
     z0 = np.concatenate([start, trajectory.exosystem.w0, [1.0]])
     trace = simulate_flow(desired_flow(plant, trajectory), z0, duration=12, sample_time=H / fine)
     x_d = np.einsum("knj,kj->kn", trajectory.x_d[trace.modes[:, 0]], trace.z)
-    walked = held(Program(controller).tables, start, along)
-    own = np.array([x for (x, *_), _ in zip(walked, range(600), strict=False)])
+    own = Held(Program(controller).tables, start, along).take(600).x_d
     x_d = x_d[: 600 * fine + 1]
     moved = np.array([x_d[k * fine : (k + 1) * fine + 1] - own[k] for k in range(600)])
     U, V = crossed(bounds.errors)

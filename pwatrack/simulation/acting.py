@@ -16,11 +16,11 @@ Bernstein coefficients enclose the differences, and what the integrals of their 
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import islice
 from math import ceil
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
+from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from pwatrack.arrays import OVER_POWERS, Array, IntArray
@@ -35,12 +35,13 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import pivots
 from pwatrack.simulation.acting_estimates import OtherCells, crossed
 from pwatrack.simulation.closed_loop import drawn
-from pwatrack.simulation.controller_arrays import cell
 from pwatrack.simulation.desired import along, desired_flow
 from pwatrack.simulation.enclosure import Segments, spans
 from pwatrack.simulation.flow import Flow, Mode
+from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong, with_loads
 from pwatrack.simulation.propagate import pieces, sample_count, trace_blocks
+from pwatrack.simulation.recursions import recursion
 from pwatrack.simulation.trace import Trace
 
 _MOST = 500_000  # substeps of a run that is walked: half a minute
@@ -285,7 +286,7 @@ class _Walk:
 
     def _segments(self, eta: Array, duration: float) -> Iterator[tuple[Segments, IntArray]]:
         """Yield the walk block by block, with the substep of the block that each segment is in."""
-        system, p, ticks = self._trajectory.exosystem, len(eta), held(self._runs, eta, self._loads)
+        system, p, held = self._trajectory.exosystem, len(eta), Held(self._runs, eta, self._loads)
         flow, z0 = self._flow, np.concatenate([eta, system.w0, [1.0]])
         resets = pieces(system, slice(p, p + len(system.w0)))
         for trace in trace_blocks(
@@ -294,16 +295,16 @@ class _Walk:
             x_d = np.einsum("knj,kj->kn", self._trajectory.x_d[trace.modes[:, 0]], trace.z)
             self._sizes = np.maximum(self._sizes, np.abs(x_d @ self._followed.T).max(axis=0))
             now = x_d[:: self._parts]
-            own = [np.array(values) for values in zip(*islice(ticks, len(now)), strict=True)]
-            for name, values in zip(("x_d", "u_ff", "eta_hat", "w"), own, strict=False):
-                self._see(name, values, values)
+            own = held.take(len(now))
+            for name in ("x_d", "u_ff", "eta_hat", "w"):
+                self._see(name, getattr(own, name), getattr(own, name))
             if self._others is not None:
-                y = np.hstack([own[4], own[2], own[3], np.ones((len(own[0]), 1))])
+                y = np.hstack([own.s, own.eta_hat, own.w, np.ones((len(now), 1))])
                 self._made.append(self._others.at(y))
-                self._known.append(own[0])
-            u = own[1] + (now - own[0]) @ self._runs.K.T
+                self._known.append(own.x_d)
+            u = own.u_ff + (now - own.x_d) @ self._runs.K.T
             u[: max(self._runs.sampling.delay - self._ticks, 0)] = 0.0
-            yield self._beside(flow, trace, x_d @ self._R.T, u, own[0] @ self._V.T)
+            yield self._beside(flow, trace, x_d @ self._R.T, u, own.x_d @ self._V.T)
             self._ticks += len(u)
 
     def _beside(self, flow: Flow, trace: Trace, moving: Array, u: Array, drawn: Array) -> tuple[Segments, IntArray]:
@@ -313,29 +314,36 @@ class _Walk:
         F = np.pad(segments.F, ((0, 0), (n + m + q, 0), (n + m + q, 0)))
         F[:, :n, :n], F[:, :n, n : n + m] = self._A0, self._plant.B
         F[:, :n, n + m + q :] = -self._plant.B @ self._trajectory.u_ff[[mode[0] for mode in segments.modes]]
-        turns = self._turns(F, segments)
+        turns, ticks = self._turns(F, segments), at // self._parts
         driven = np.einsum("knj,kj->kn", turns[:, :, n + m + q :], segments.zeta)
-        before, own, K, R = np.zeros((len(at), n + m + q)), turns[:, :, : n + m], self._runs.K, self._R
-        begins, ticks = np.diff(at, prepend=-1) > 0, at // self._parts
-        ticked = np.diff(ticks, prepend=-1) > 0
-        e, held, late = self._e, np.zeros(m + q), self._runs.sampling.delay - self._ticks
-        for i, (row, tick) in enumerate(zip(before, ticks.tolist(), strict=True)):
-            if ticked[i]:
-                e = e * (tick > late)
-                held[:m], held[m + self._q :] = u[tick] + K @ e, drawn[tick]
-            if begins[i]:
-                held[m : m + self._q] = moving[at[i]] + R @ e
-            row[:n], row[n:] = e, held
-            e = own[i] @ row[: n + m] + driven[i]
-        put_out = np.vstack([self._last, before[ticked, n : n + m]])
+        begins, ticked = np.diff(at, prepend=-1) > 0, np.diff(ticks, prepend=-1) > 0
+        resting = ticked & (ticks <= self._runs.sampling.delay - self._ticks)  # as inputs act that were there before
+        e, u = self._nominal(turns[:, :, : n + m], driven, u[ticks], ticked, resting)
+        begin = np.maximum.accumulate(np.where(begins, np.arange(len(at)), 0))  # of the substep
+        before = np.hstack([u, moving[at] + (e @ self._R.T)[begin]])
+        put_out = np.vstack([self._last, u[ticked]])
         self._last = put_out[-1]
         self._changes = np.maximum(self._changes, np.abs(np.diff(put_out, axis=0)).max(axis=0))
-        self._see("u", before[:, n : n + m], before[:, n : n + m])
-        self._e, self._largest = (
-            e,
-            np.maximum(self._largest, np.abs(before[:, n:][:, : len(self._largest)]).max(axis=0)),
-        )
-        return replace(segments, F=F, zeta=np.hstack([before, segments.zeta])), at
+        self._see("u", u, u)
+        self._largest = np.maximum(self._largest, np.abs(before).max(axis=0))
+        return replace(segments, F=F, zeta=np.hstack([e, before, drawn[ticks], segments.zeta])), at
+
+    def _nominal(
+        self, turns: Array, driven: Array, u: Array, ticked: NDArray[np.bool_], resting: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Return e₀ at the begin of each segment, and what is held in it: u + K e₀ where it begins with a tick."""
+        (count, n, _), m, K = turns.shape, self._m, self._runs.K
+        A, B = turns[:, :, :n], turns[:, :, n:]
+        M, c = np.zeros((count, n + m, n + m)), np.zeros((count, n + m))  # of e₀, and what was held before
+        M[:, :n, :n], M[:, :n, n:], c[:, :n] = A, B, driven
+        M[:, n:, n:] = np.eye(m)
+        M[ticked, :n, :n], M[ticked, n:, :n], M[ticked, :, n:] = A[ticked] + B[ticked] @ K, K, 0.0
+        c[ticked, :n] += np.einsum("knm,km->kn", B[ticked], u[ticked])
+        c[ticked, n:] = u[ticked]
+        M[resting] = 0.0
+        both = recursion(M, c, np.concatenate([self._e, np.zeros(m)]))
+        e, self._e = np.where(resting[:, None], 0.0, both[:-1, :n]), both[-1, :n]
+        return e, np.where(ticked[:, None], u + e @ K.T, both[:-1, n:])
 
     def _turns(self, F: Array, segments: Segments) -> Array:
         """Return the rows of e^{F length} that tell e₀ at the end of each segment, (M, n, N)."""
@@ -348,34 +356,3 @@ class _Walk:
         for i in np.flatnonzero(~whole).tolist():
             turns[i] = expm(F[segments.number[i]] * segments.length[i])[: self._n]
         return turns
-
-
-def held(runs: SampledController, eta: Array, loads: LoadsAlong) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
-    """Yield x_d, u_ff, η̂, w and s as the program has them for what it holds from each tick on, from η̂(0) at the first.
-
-    It is with the true loads s in place of ŝ. Before the first input that it puts out it has 0.
-    """
-    follows, h, ahead = runs.follows, runs.sampling.sample_time, runs.sampling.ahead
-    assert follows is not None
-    starts, w = {(piece.tick, piece.start): piece.w for piece in follows.pieces}, follows.w0.copy()
-    begins, before = sorted(starts), expm(loads.S * (-ahead * h))  # ŝ is that of the tick, before u acts
-    tables = np.concatenate([runs.x_d, runs.u_ff, runs.generator], axis=1)
-    ends, k = np.cumsum([runs.x_d.shape[1], runs.u_ff.shape[1]]), len(before)
-    known, alone, each = np.concatenate([before @ loads.start, eta, w, [1.0]]), len(tables) == 1, loads.ticks
-
-    def made(s: Array, eta: Array, w: Array) -> tuple[Array, Array, Array]:
-        known[:k], known[k : k + len(eta)], known[k + len(eta) : -1] = before @ s, eta, w
-        both = tables[0 if alone else cell(runs.sides, runs.guards @ known)] @ known
-        return both[: ends[0]], both[ends[0] : ends[1]], both[ends[1] :]
-
-    for early, s in zip(follows.early, each, strict=False):
-        x_d, _, after = made(s, eta, early)
-        yield x_d, np.zeros(runs.u_ff.shape[1]), eta, early, s
-        eta = after
-    for tick, s in enumerate(each):
-        while begins and begins[0][0] <= tick:
-            begin = begins.pop(0)
-            w[begin[1] : begin[1] + len(starts[begin])] = starts[begin]
-        x_d, u_ff, after = made(s, eta, w)
-        yield x_d, u_ff, eta, w, s
-        eta, w = after, follows.turn[0] @ w if len(w) else w

@@ -24,7 +24,7 @@ from pwatrack.control.sampled_disturbances import ROUNDING
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.vertices import Box, differences, factors
 from pwatrack.rational import pivots, rational
-from pwatrack.simulation.controller_arrays import cell
+from pwatrack.simulation.controller_arrays import cells
 
 _ON_FACET = 1e-12  # of its terms: a form of y that is nearer to 0 may have either sign
 
@@ -83,7 +83,7 @@ class OtherCells:
         """Return how much more of u and of η̂ there is at most, (K, m) and (K, p), with y (K, ·) at ticks."""
         sides = y @ self._guards.T
         near = np.abs(sides) <= _ON_FACET * (np.abs(y) @ np.abs(self._guards).T)
-        here = np.array([cell(self._sides, row) for row in sides], dtype=np.int64)
+        here = cells(self._sides, sides)
         u, eta = np.zeros((len(y), self._held.shape[1])), np.zeros((len(y), self._eta.shape[1]))
         for b in np.unique(here).tolist():
             at = np.flatnonzero(here == b)

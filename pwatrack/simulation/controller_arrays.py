@@ -105,7 +105,12 @@ def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:
 
 def cell(signs: IntArray, g: Array) -> int:
     """Return the first cell whose signs the guards contradict least."""
-    return int(np.maximum(-signs * g, 0.0).max(axis=1, initial=0.0).argmin())
+    return int(cells(signs, g))
+
+
+def cells(signs: IntArray, g: Array) -> IntArray:
+    """Return that of each of (…, k) guards."""
+    return np.asarray(np.maximum(-signs * g[..., None, :], 0.0).max(axis=-1, initial=0.0).argmin(axis=-1))
 
 
 _NOTHING: dict[str, Any] = dict.fromkeys(("C", "M", "E", "H", "K"), np.zeros((0, 0)))
