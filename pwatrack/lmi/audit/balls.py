@@ -86,7 +86,7 @@ def zero(rows: int, columns: int) -> Ball:
 
 def unit(order: int, k: int) -> Ball:
     """Return a column of the identity."""
-    return Ball(identity(order, 1)).column(k)
+    return Ball([[Fraction(j == k)] for j in range(order)])
 
 
 def stacked(*balls: Ball) -> Ball:

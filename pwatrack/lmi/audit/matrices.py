@@ -4,11 +4,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from math import inf, lcm
+from operator import mul
 from typing import Any
 
 Matrix = list[list[Fraction]]
 
-_MOST, _SMALL = 5e6, 100_000  # steps, 5e-6 to 12e-6 s each, for so many bytes; as their fourth power for more
+_MOST, _SMALL = 5e6, 100_000  # steps, 3e-6 to 12e-6 s each, for so many bytes; as their fourth power for more
 _BITS = 1_000.0  # of numerator and denominator: so long numbers take twice the time of short ones, then as the square
 _work = {"most": inf, "done": 0.0}
 
@@ -36,24 +37,34 @@ def spend(steps: float, bits: int = 0) -> None:
 
 def bits(numbers: Iterable[Fraction]) -> int:
     """Return of how many the longest numerator and denominator are."""
-    return max((v.numerator.bit_length() + v.denominator.bit_length() for v in numbers), default=0)
+    ratios = [v.as_integer_ratio() for v in numbers]
+    return max([a.bit_length() + b.bit_length() for a, b in ratios], default=0)
 
 
 def identity(n: int, factor: Any) -> Matrix:
     """Return factor I."""
-    return [[Fraction(factor) * (j == k) for k in range(n)] for j in range(n)]
+    zero, one = Fraction(0), Fraction(factor)
+    return [[one if j == k else zero for k in range(n)] for j in range(n)]
 
 
 def product(X: Matrix, Y: Matrix) -> Matrix:
-    """Return X Y."""
-    columns = transposed(Y)
+    """Return X Y: products of integers, of a row and a column each over what all of its numbers are over."""
     if any(len(row) != len(Y) for row in X):
         raise AuditFault("matrices do not fit together")
-    found = list[list[Fraction]]()
-    for row in X:
-        there = [(k, a) for k, a in enumerate(row) if a]
-        found.append([total([a * column[k] for k, a in there if column[k]]) for column in columns])
+    columns, found = [whole(column) for column in transposed(Y)], list[list[Fraction]]()
+    for row, below in map(whole, X):
+        sums = [sum(map(mul, row, column)) for column, _ in columns]
+        longest = max([value.bit_length() for value in sums], default=0) + below.bit_length()
+        spend(len(columns) * (1 + len(row) - row.count(0)), longest)
+        found.append([Fraction(value, below * other) for value, (_, other) in zip(sums, columns, strict=True)])
     return found
+
+
+def whole(numbers: list[Fraction]) -> tuple[list[int], int]:
+    """Return integers, and what all of them are over."""
+    ratios = [v.as_integer_ratio() for v in numbers]
+    below = lcm(*[b for _, b in ratios])
+    return [a * (below // b) for a, b in ratios], below
 
 
 def total(terms: list[Fraction]) -> Fraction:
@@ -65,16 +76,16 @@ def total(terms: list[Fraction]) -> Fraction:
 
 def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     """Return X + factor Y."""
-    spend(sum(map(len, X)), bits(v for row in (*X, *Y) for v in row))
+    Y = Y if factor == 1 else times(Y, factor)
     pairs = [zip(one, two, strict=True) for one, two in zip(X, Y, strict=True)]
-    if factor == 1:
-        return [[a + b if a and b else a or b for a, b in row] for row in pairs]
-    return [[a + factor * b if b else a for a, b in row] for row in pairs]
+    found = [[a + b if a and b else a or b for a, b in row] for row in pairs]
+    spend(sum(map(len, X)), bits(v for row in found for v in row))
+    return found
 
 
 def times(X: Matrix, factor: Fraction | int) -> Matrix:
     """Return factor X."""
-    return [[factor * v for v in row] for row in X]
+    return [[factor * v if v else v for v in row] for row in X]
 
 
 def transposed(X: Matrix) -> Matrix:
@@ -142,8 +153,8 @@ def positive(X: Matrix) -> int:
 
 def definite(X: Matrix, *, semi: bool = False, sign: int = 1) -> bool:
     """Decide whether sign X, symmetric, is positive (semi)definite, by Bareiss' elimination in integers."""
-    scale = sign * lcm(*(v.denominator for row in X for v in row))
-    rows, previous = [[int(v * scale) for v in row] for row in X], 1
+    numbers, n, previous = whole([v if sign > 0 else -v for row in X for v in row])[0], len(X), 1
+    rows = [numbers[j * n :][:n] for j in range(n)]
     for k, pivot_row in enumerate(rows):
         pivot = pivot_row[k]
         if pivot < 0 or (pivot == 0 and (not semi or any(pivot_row[k + 1 :]))):
