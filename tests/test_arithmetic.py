@@ -78,6 +78,7 @@ def test_the_simulation_is_the_page_in_every_bit(sampling: Sampling) -> None:
         assert differ(closed_loop(controller, machine, made), 1100, x0) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "h"),
     [

@@ -165,6 +165,7 @@ def test_what_is_too_large_or_too_fine_is_refused_with_the_limit(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("outputs", "A", "B", "C", "reference", "code"),
     [

@@ -226,6 +226,7 @@ def test_parameters_are_set_in_every_spec(mixed: Path, tmp_path: Path) -> None:
     assert not list(outcome.folder.glob("*.png"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "drawn"), [(0, False), (6, True)])
 def test_pictures_only_of_what_fails(mixed: Path, tmp_path: Path, code: int, drawn: bool) -> None:
     text = (mixed / "good.yaml").read_text() + ("" if code == 0 else "require: {final_error: 1e-12}\n")

@@ -85,6 +85,7 @@ def test_check_writes_no_file(spec: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert set(contents(spec.parent)) == {spec.name}
 
 
+@pytest.mark.slow
 def test_simulate_ends_with_0_and_names_its_files_on_stdout(simulated: tuple[Path, Path, Run]) -> None:
     _, out, run = simulated
     assert run.exit_code == 0, run.output

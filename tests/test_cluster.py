@@ -154,6 +154,7 @@ def test_a_batch_is_the_same_on_two_workers_of_which_one_is_killed(
     }  # specs in error leave no run
 
 
+@pytest.mark.slow
 def test_a_sweep_is_the_same_on_two_workers_of_which_one_is_killed(
     scheduler: str, second: "subprocess.Popen[bytes]", folder: Path
 ) -> None:

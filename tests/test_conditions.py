@@ -450,6 +450,7 @@ def test_a_plant_that_the_gains_do_not_hold_is_said_to_be_unstable(specs: Path, 
         ensemble(replace(result, spec=in_scenario(result.spec, intervals={"d1": (-65.0, -60.0)})), 2, over="parameters")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "extra",
     [
@@ -522,6 +523,7 @@ simulation: {duration: 1.5, sample_time: 0.01, controller: {sample_time: 0.01}}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["0.12", "-0.12"])
 @pytest.mark.parametrize("at", ["0.505", "0.5037", "0.5"])
 def test_a_reference_that_rests_on_a_corner_leaves_it_between_ticks(size: str, at: str, tmp_path: Path) -> None:

@@ -90,6 +90,7 @@ def test_the_schema_in_the_docs_is_that_of_the_file() -> None:
     assert json.loads((DOCS / "controller.schema.json").read_text(encoding="utf-8")) == json_schema()
 
 
+@pytest.mark.slow
 def test_a_stored_controller_does_what_the_simulation_did_in_every_bit(run: tuple[Path, Result]) -> None:
     folder, result = run
     assert_the_same_bits(Controller.load(folder / "controller.json"), result, 0.002)

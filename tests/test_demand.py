@@ -198,6 +198,7 @@ def test_it_is_the_closed_form_where_there_are_no_internal_states(
     assert found.high[0] >= high - 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTS)
 def test_no_sequence_of_set_points_leaves_the_interval(name: str) -> None:
     """10,000 steps: neither u_ff of (16) at a tick does, nor what the program makes of it over a sample."""
@@ -273,6 +274,7 @@ def test_with_what_would_do_it_is_within() -> None:
         design(load_spec(cart(-0.1, 0.3, spring=K, limits=[-31, 31], acceleration=most * 1.005)))
 
 
+@pytest.mark.slow
 def test_a_range_is_asked_for_where_it_matters_and_only_there() -> None:
     spec = anywhere()
     bare = load_spec(spec)
@@ -288,6 +290,7 @@ def test_a_range_is_asked_for_where_it_matters_and_only_there() -> None:
     np.testing.assert_allclose([found.low[0], found.high[0]], [-(M * A + D * V), M * A + D * V], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_where_internal_states_may_take_more_it_is_said_and_not_refused() -> None:
     spec = load_spec(PLANTS["backlash"]() | {"name": "Backlash"})
     less = load_spec(limited("backlash", 5))
@@ -316,6 +319,7 @@ def smaller(value: str) -> str:
     return decimal(0.9 * float(Fraction(value)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stop", "backlash", "backlash, from afar", "kinked", "two outputs"])
 def test_the_auditor_agrees_and_sees_every_number_that_is_forged(name: str) -> None:
     spec = load_spec(PLANTS[name]())

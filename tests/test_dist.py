@@ -31,6 +31,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_wheel_designs_the_example_away_from_its_sources(built: Path, tmp_path: Path) -> None:
     (wheel,) = built.glob("*.whl")
     assert __version__ in wheel.name

@@ -171,6 +171,7 @@ def test_without_a_region_states_start_within_their_size_in_the_nominal_run(shor
     assert (starts(many)[:, 4:8] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("over", ["parameters", "noise"])
 def test_a_member_is_the_run_of_a_spec_with_what_was_drawn_for_it(over: Over, specs: Path, tmp_path: Path) -> None:
     """The machine's program, limits and disturbance are the same in all members."""

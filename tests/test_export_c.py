@@ -248,6 +248,7 @@ int main(void)
 """
 
 
+@pytest.mark.slow
 def test_faults_are_answered_and_nothing_is_undefined(machine: Subject, tmp_path: Path) -> None:
     folder = written(machine, tmp_path / "c", given=True)
     (folder / "faults.c").write_text(FAULTS)

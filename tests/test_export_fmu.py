@@ -137,6 +137,7 @@ def without(name: str, sources: Mapping[str, str]) -> bytes:
     return compiled(sources, COMPILER, [f"-D{name}=another_name"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", COMPILERS)
 @both
 def test_the_sources_compile_without_a_warning(
@@ -273,6 +274,7 @@ def test_controller_and_plant_give_the_trace_of_the_closed_loop(name: str, versi
     plant.close()
 
 
+@pytest.mark.slow
 @both
 def test_with_a_delay_both_may_be_stepped_at_once(version: Version, tmp_path: Path) -> None:
     path = cart(tmp_path, "controller: {sample_time: 0.01, delay: 1}", reference="0.15*sin(t)", duration=5)
@@ -580,6 +582,7 @@ def test_too_many_cells_are_refused_with_their_number(tmp_path: Path) -> None:
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_a_stored_controller_by_itself_has_no_plant(tmp_path: Path) -> None:
     spec = load_spec(cart(tmp_path, "controller: {sample_time: 0.01}", duration=2))
     folder = design(spec).save(tmp_path / "run")

@@ -140,6 +140,7 @@ def test_a_run_that_tells_of_more_than_its_certificate_is_refused(
         verify(tmp_path / "run")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["in_the_end", "at_worst"])
 @pytest.mark.parametrize("k", [0, -1])
 def test_bounds_that_are_smaller_than_proved_in_the_end_or_at_worst_are_refused(
@@ -246,6 +247,7 @@ def test_lists_have_their_lengths_and_numbers_one_form(cost: dict[str, Any], cha
     assert changed(cost, change)
 
 
+@pytest.mark.slow
 def test_elements_with_more_corners_than_are_worth_their_bytes_are_refused_with_a_figure(cost: dict[str, Any]) -> None:
     """2^14 matrices of order 14 are asked for in 8,000 bytes."""
     n = 14

@@ -145,6 +145,7 @@ def test_the_springs_and_dampers_at_which_seventeen_begins_to_hold_are_found_to_
         assert abs(p.value - p.now) < abs(at[name] - p.now)
 
 
+@pytest.mark.slow
 def test_each_value_is_one_with_which_it_is_designed(specs: Path, stiff: tuple[Spec, HowFar]) -> None:
     path = specs / "gallery" / "stiff_springs.yaml"
     wanted = [p for p in stiff[1].parameters if p.parameter in ("k2", "d1")]

@@ -105,6 +105,7 @@ def test_loads_that_every_start_bears_are_what_leaves_the_feedforward_in_its_lim
 BIG = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1, u: 2}\n  units:").replace("slope: 50", "slope: 2")
 
 
+@pytest.mark.slow
 def test_the_region_is_larger_than_where_no_limit_is_reached_and_is_audited(tmp_path: Path) -> None:
     path, out = written(tmp_path, BIG, REFERENCE="0.1*sin(t)", LIMITS="[-2, 2]"), tmp_path / "out"
     made = design(load_spec(path))
@@ -140,6 +141,7 @@ def test_a_region_by_an_ellipsoid_is_audited(tmp_path: Path, monkeypatch: pytest
         assert any(fault in each for each in wrong), (fault, wrong)
 
 
+@pytest.mark.slow
 def test_a_region_by_a_polynomial_is_larger_and_audited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, out = written(tmp_path, BIG, REFERENCE="0.1*sin(t)", LIMITS="[-2, 2]"), tmp_path / "out"
     call("design", path, "--out", out)
@@ -227,6 +229,7 @@ def test_no_start_on_the_edge_of_a_region_leaves_it_for_any_switching(seed: int)
     assert growth(loop, found, 1 / max(found.sizes), random, 200) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_no_start_on_the_edge_of_a_polynomial_region_leaves_it(seed: int) -> None:
     """Nor does a start of the box that it is said to be around; degree 4 for two inputs, else 4 or 6."""
@@ -354,6 +357,7 @@ MOVED = STAGE.replace("slope: 50", "slope: 1").replace("  units:", "  sizes: {z:
 WAVE = {"REFERENCE": "0.1*sin(t)", "LIMITS": "[-2, 2]"}
 
 
+@pytest.mark.slow
 def test_a_smaller_gain_is_taken_where_starts_are_not_inside_and_what_it_costs_is_said(tmp_path: Path) -> None:
     """2 z'' = u with a u that costs little: the regulator is large, and a twentieth of the starts is in its region."""
     path, out = written(tmp_path, MOVED.replace("d: 3", "d: 0"), SPEED="1.2", **WAVE), tmp_path / "out"
@@ -370,6 +374,7 @@ def test_a_smaller_gain_is_taken_where_starts_are_not_inside_and_what_it_costs_i
     assert told["K_smaller_by"] == pytest.approx(ratio)
 
 
+@pytest.mark.slow
 def test_where_not_all_starts_can_be_inside_the_gain_stays_but_where_most_of_them_are_asked_for(tmp_path: Path) -> None:
     """At 2 m/s nothing holds 2 z'' = z + u with 2 N: z + √2 v has to be below 2."""
     text, shares = MOVED.replace("[0, -d/m]]", "[1/2, 0]]"), []
@@ -429,6 +434,7 @@ simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {f: [-1, 1], g: 
     assert found["sizes"] > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", ["whole", "irrational"])
 def test_a_polynomial_is_of_the_matrices_that_an_auditor_counts(numbers: str, tmp_path: Path) -> None:
     """Two saturations of one form have cells between others; of irrational numbers all that differ are counted."""

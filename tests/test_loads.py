@@ -397,6 +397,7 @@ def test_a_set_point_is_held_exactly_with_wrong_parameters(tmp_path: Path) -> No
     assert errors[0].final_error < 1e-8 < 1e-3 < errors[1].final_error
 
 
+@pytest.mark.slow
 def test_a_sampled_controller_estimates_too(tmp_path: Path) -> None:
     spec = load_spec(write(tmp_path, reference="{output: 0.1*sin(t)}"))
     fast = replace(spec.scenario.conditions, sampling=Sampling(sample_time=0.002))

@@ -181,6 +181,7 @@ RUNAWAY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", RUNAWAY.values(), ids=RUNAWAY)
 def test_a_loop_that_runs_away_ends_with_6_and_all_its_files(tmp_path: Path, condition: str) -> None:
     path = cart(tmp_path, condition, reference="0.08*cos(t)")
@@ -216,6 +217,7 @@ def test_a_disturbance_that_comes_late_does_not_make_a_loop_grow_and_hides_none_
     assert (result.outcome.kind, result.outcome.code) == (("grows", 6) if other else ("off", 0))
 
 
+@pytest.mark.slow
 def test_a_batch_fails_on_what_grows_and_says_what(tmp_path: Path) -> None:
     cart(tmp_path, RUNAWAY["other parameters"], duration=2)
     (outcome,) = run_batch(tmp_path, tmp_path / "batch")
@@ -292,6 +294,7 @@ def test_rounding_is_not_above_a_bound(specs: Path) -> None:
         assert simulate(load_spec(specs / "gallery" / f"{name}.yaml")).outcome.kind == "tracks"
 
 
+@pytest.mark.slow
 def test_a_desired_trajectory_that_grows_is_no_tracking(tmp_path: Path) -> None:
     """u_ff drives an unstable plant from a given start: x_d leaves, and the plant would follow it."""
     path = tmp_path / "rod.yaml"

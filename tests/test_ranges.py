@@ -80,6 +80,7 @@ def ran(spec: Spec, controller: ProvedController, folder: Path, seed: int, *, si
     return {name: np.array(values) for name, values in seen.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("single", [False, True])
 def test_no_number_of_the_program_is_outside(machine: tuple[Spec, ProvedController, Path], single: bool) -> None:
     spec, controller, folder = machine

@@ -203,6 +203,7 @@ def test_the_summary_of_a_job_is_added_to(tmp_path: Path) -> None:
     assert all(len(re.findall(r"(?<!\\)\|", row)) == 5 for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked_for", [False, True])
 def test_on_a_runner_or_where_it_is_asked_for_the_command_line_says_all_of_it(
     specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked_for: bool

@@ -71,6 +71,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_what_has_changed_is_run_again(tmp_path: Path, change: Any) -> None:
     folder, out = make(tmp_path / "specs", ("exit0",)), tmp_path / "out"
@@ -80,6 +81,7 @@ def test_what_has_changed_is_run_again(tmp_path: Path, change: Any) -> None:
     assert again(folder, out) == {"exit0": "cached"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"parameters": ("k2=1",)}, {"plots": "none"}])
 def test_other_options_are_another_run(tmp_path: Path, options: dict[str, Any]) -> None:
     folder, out = make(tmp_path / "specs", ("exit0",)), tmp_path / "out"
@@ -174,6 +176,7 @@ def test_a_batch_that_is_killed_goes_on_where_it_was(tmp_path: Path, number: sig
     assert not [path for path in out.rglob(".*") if path.name != ".batch"]
 
 
+@pytest.mark.slow
 def test_without_a_place_for_records_all_is_run_again(tmp_path: Path) -> None:
     folder, out = make(tmp_path / "specs", ("exit0",)), tmp_path / "out"
     out.mkdir()

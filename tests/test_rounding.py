@@ -206,6 +206,7 @@ def ticks(found: Rounding, **changes: Any) -> tuple[Array, dict[str, Array]]:
     }
 
 
+@pytest.mark.slow
 def test_a_prediction_rounds_by_no_more_than_is_said(rounded: tuple[Subject, Rounding]) -> None:
     _, found = rounded
     of = found.numbers.program
@@ -412,6 +413,7 @@ def test_a_number_out_of_range_is_refused_and_the_input_is_held(rounded: tuple[S
     assert [seen[-1]["status"]] == [0]
 
 
+@pytest.mark.slow
 def test_the_command_says_what_is_proved(tmp_path: Path) -> None:
     (tmp_path / "plant.yaml").write_text(FRICTION, encoding="utf-8")
     call("design", tmp_path / "plant.yaml", "--out", tmp_path / "run")

@@ -337,6 +337,7 @@ def test_where_ticks_are_late_a_disturbance_makes_up_for_it(seed: int, friction:
             assert np.abs(left).max() > 1e-6
 
 
+@pytest.mark.slow
 def test_bounds_where_ticks_come_early_and_late(tmp_path: Path) -> None:
     """Those of a jitter of nearly 0 are those of none, and of more they are more; the auditor has it too."""
     ends = list[float]()
@@ -371,6 +372,7 @@ def test_of_a_plant_with_one_cell_the_bound_is_what_the_run_shows(delay: int, tm
     assert claim.ends_below(controller)["estimate", 0] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [1, 2])
 def test_bounds_where_inputs_are_late_hold_for_switchings_and_in_the_run(delay: int, tmp_path: Path) -> None:
     text = FRICTION.replace(
@@ -470,6 +472,7 @@ FORGED: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", FORGED)
 def test_a_forged_tube_is_refused(what: str, content: dict[str, Any]) -> None:
     forged = copy.deepcopy(content)

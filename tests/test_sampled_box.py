@@ -69,6 +69,7 @@ def table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return spec, design(spec)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_form_falls_along_the_program_beside_another_plant(seed: int, tmp_path: Path) -> None:
     """x_d = 0 for all plants, so w = 0; at ticks z is (x, u, x̂ − x, 0), from the run of the program itself."""
@@ -91,6 +92,7 @@ def test_the_form_falls_along_the_program_beside_another_plant(seed: int, tmp_pa
     assert (V[1:] <= V[:-1] * np.exp(-2 * claim.proof.rate * H) * (1 + 1e-6) + 1e-15).all()
 
 
+@pytest.mark.slow
 def test_it_is_proved_with_jitter_and_delay_too_and_read_again(table: tuple[Spec, ProvedController]) -> None:
     spec, controller = table
     claim = controller.claim(SampledBox)
@@ -115,6 +117,7 @@ def lighter(content: Any) -> None:
     corner["B"][1][0] = "0.99"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [raised, lighter, lambda c: c["sampled_uncertain"]["P"].reverse()])
 def test_what_is_forged_is_found_out(change: Any, tmp_path: Path) -> None:
     spec = load_spec(written(tmp_path))
@@ -124,6 +127,7 @@ def test_what_is_forged_is_found_out(change: Any, tmp_path: Path) -> None:
     assert any(one.startswith("the sampled loop for uncertain parameters: ") for one in faults), faults
 
 
+@pytest.mark.slow
 def test_what_is_said_of_another_plant_is_of_the_loop_that_runs(tmp_path: Path) -> None:
     other = "plant: {parameters: {m: 2.1}}"
     said = call("design", written(tmp_path, more=other), "--out", tmp_path / "out").stdout
@@ -160,6 +164,7 @@ def bounds_of(controller: ProvedController) -> SampledBoxBounds:
     return claim
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_no_plant_of_the_box_is_above_its_bound_in_any_substep(
     seed: int, moving: tuple[Spec, ProvedController]
@@ -221,6 +226,7 @@ def test_what_another_plant_does_otherwise_is_enclosed_as_a_disturbance(moving: 
     assert most < enclosed < 1.1 * late * most + 0.0105 * late
 
 
+@pytest.mark.slow
 def test_the_bounds_are_read_again_and_what_is_forged_is_found_out(moving: tuple[Spec, ProvedController]) -> None:
     spec, controller = moving
     content = design_certificate(spec, controller)
@@ -240,6 +246,7 @@ def test_the_bounds_are_read_again_and_what_is_forged_is_found_out(moving: tuple
         assert audit(json.dumps(forged))[1]
 
 
+@pytest.mark.slow
 def test_the_first_screen_says_the_bound_of_the_box_where_another_plant_of_it_runs(tmp_path: Path) -> None:
     path = written(tmp_path, box="{m: [1.95, 2.1], k: 5%}", more=MOVING + "\n  plant: {parameters: {m: 2.05}}")
     text = path.read_text(encoding="utf-8").replace("{tracking: state, ", "{")

@@ -107,6 +107,7 @@ def falls_along(errors: SampledErrors, proof: ClockedProof, starts: Array, ticks
             value = after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("substeps", "delay", "jitter"), [(1, 0, 0.0), (3, 0, 0.0), (2, 1, 0.0), (1, 2, 0.0), (1, 1, 0.005)]
 )
@@ -130,6 +131,7 @@ def test_so_it_does_where_a_load_is_estimated(delay: int, loaded: tuple[Spec, Pr
     falls_along(errors, proof_of(found), np.random.default_rng(2).normal(size=(3, 6)) * 0.3, ticks=60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_form_falls_for_switching_that_no_plant_makes(seed: int, section: tuple[Spec, ProvedController]) -> None:
     random = np.random.default_rng(seed)

@@ -92,6 +92,7 @@ def between(made: Program, y: Array, other: Array) -> tuple[dict[int, float], Ar
     return dict(zip(cells.tolist(), (numbers / count).tolist(), strict=True)), way
 
 
+@pytest.mark.slow
 def test_what_the_program_does_otherwise_in_another_cell_is_at_most_what_acts(
     loop: tuple[str, Spec, ProvedController, SampledBounds],
 ) -> None:
@@ -213,6 +214,7 @@ def test_runs_stay_within_their_bounds(loop: tuple[str, Spec, ProvedController, 
     assert 0.01 * ends < worst < ends
 
 
+@pytest.mark.slow
 def test_the_auditor_agrees(loop: tuple[str, Spec, ProvedController, SampledBounds]) -> None:
     _, spec, controller, _ = loop
     content = json.loads(json.dumps(design_certificate(spec, controller)))

@@ -202,6 +202,7 @@ def falls_along(errors: SampledErrors, proof: ClockedProof, controller: ProvedCo
     assert found[-1] < 0.9 * found[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_the_form_falls_along_the_loop_itself(delay: int, loaded: tuple[str, Spec, ProvedController]) -> None:
     _, _, controller = loaded
@@ -241,6 +242,7 @@ def along_the_loop(
     return at_ticks, between
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_what_the_loop_does_is_a_mean_of_what_is_in_the_proof(
@@ -264,6 +266,7 @@ def test_so_it_is_where_ticks_come_early_and_late(seed: int, tmp_path: Path) -> 
     assert between > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "loads", ["{wind: {into: {w: 1}}, push: {into: {v: 1}}}", "{hum: {into: {w: 1}, frequency: 3}}"]
 )
@@ -322,6 +325,7 @@ WRONG: dict[str, Callable[[OnEstimates], OnEstimates]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", WRONG)
 def test_it_is_none_of_another_loop(what: str, loaded: tuple[str, Spec, ProvedController]) -> None:
     name, _, controller = loaded
@@ -381,6 +385,7 @@ def certified(loaded: tuple[str, Spec, ProvedController]) -> tuple[str, dict[str
     return name, json.loads(json.dumps(design_certificate(spec, found)))
 
 
+@pytest.mark.slow
 def test_the_auditor_agrees(certified: tuple[str, dict[str, Any]]) -> None:
     said, faults = audit(json.dumps(certified[1]))
     assert not faults
@@ -402,6 +407,7 @@ FORGED: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", FORGED)
 def test_a_forged_proof_is_refused(what: str, certified: tuple[str, dict[str, Any]]) -> None:
     content = copy.deepcopy(certified[1])
@@ -442,6 +448,7 @@ def of_size_one(controller: ProvedController, _: object) -> Acting:
     )
 
 
+@pytest.mark.slow
 def test_no_switching_is_above_a_tube(bounded: tuple[Spec, ProvedController, SampledBounds]) -> None:
     """Of what acts at its worst, with what is held and what drives it at ticks switched together."""
     _, controller, bounds = bounded

@@ -152,6 +152,7 @@ def moved(gains: SampledGains, order: int, loads: int) -> Array:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", ["pole", "loaded", "slow", "late", "against"])
 def test_no_start_on_the_edge_leaves_it_for_any_switching_with_limits_active(
     of: str, request: pytest.FixtureRequest
@@ -360,6 +361,7 @@ def test_loads_take_their_part(pole: tuple[Spec, ProvedController], loaded: tupl
     assert np.abs(result.response.x[-1]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_where_inputs_are_late_it_is_said_of_errors_as_the_first_one_acts(tmp_path: Path) -> None:
     """Without an input the plant falls for two samples; from the edge as these end the program itself settles."""
     path, size = written(tmp_path, delay=2), np.array([0.3, 0.6])
@@ -382,6 +384,7 @@ def falls(_: float, x: Array) -> Array:
     return np.array([v, 4 * z - 0.2 * v - 3 * max(z - 0.2, 0.0)])
 
 
+@pytest.mark.slow
 def test_the_faster_an_input_may_change_the_more_is_proved_and_the_program_settles_from_there(
     tmp_path: Path, pole: tuple[Spec, ProvedController]
 ) -> None:
@@ -401,6 +404,7 @@ def test_the_faster_an_input_may_change_the_more_is_proved_and_the_program_settl
     assert runs(controller, 4 * size, 4 * size, limits)[0] > 0.5
 
 
+@pytest.mark.slow
 def test_what_acts_and_the_first_input_are_taken_off_what_it_may_change_by(tmp_path: Path) -> None:
     """By noise an input changes; and from 0 on it is to be at its feedforward."""
     noise = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"
@@ -420,6 +424,7 @@ def test_what_acts_and_the_first_input_are_taken_off_what_it_may_change_by(tmp_p
     assert not refused.found
 
 
+@pytest.mark.slow
 def test_of_another_plant_nothing_is_said_of_this_start(tmp_path: Path) -> None:
     """The pole falls faster than the one of the design: it runs away, and what is proved is of the other."""
     path = tmp_path / "pole.yaml"
@@ -513,6 +518,7 @@ def test_what_is_forged_is_found_out(change: Any, fault: str | None, certificate
     assert fault is None or any(one.startswith(fault) for one in faults), faults
 
 
+@pytest.mark.slow
 def test_a_smaller_K_is_made_for_the_start_of_a_run_where_that_of_least_cost_does_not_do(tmp_path: Path) -> None:
     path = leaning(tmp_path)
     spec = load_spec(path)
@@ -534,6 +540,7 @@ def test_a_smaller_K_is_made_for_the_start_of_a_run_where_that_of_least_cost_doe
     assert [*told.claim(SampledLoop).rows(spec.words, told)] == [*loop.rows(spec.words, controller)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["controller: {K: [[-11, -6]]}", "controller: {rate: largest, gain: 9}"])
 def test_a_K_that_is_given_or_sought_otherwise_stays(more: str, tmp_path: Path) -> None:
     spec = load_spec(leaning(tmp_path, more))

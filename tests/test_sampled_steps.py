@@ -82,6 +82,7 @@ def first_ticks(errors: SampledErrors, z: Array, parts: list[tuple[float, Array]
     return z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0, 1, 2])
 @pytest.mark.parametrize("at", [2.0, 2.03])
 @pytest.mark.parametrize("which", ALONE)
@@ -130,6 +131,7 @@ def loop(
     return request.param, spec, controller, controller.claim(SampledBounds)
 
 
+@pytest.mark.slow
 def test_runs_stay_within_their_bounds(loop: tuple[str, Spec, ProvedController, SampledBounds], tmp_path: Path) -> None:
     _, spec, controller, bounds = loop
     assert "load" in {kind for kind, _ in bounds.acts.squares}
@@ -166,6 +168,7 @@ FORGED: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 def test_the_auditor_agrees(loop: tuple[str, Spec, ProvedController, SampledBounds]) -> None:
     name, spec, controller, _ = loop
     content = json.loads(json.dumps(design_certificate(spec, controller)))

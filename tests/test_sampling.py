@@ -252,6 +252,7 @@ def test_a_late_output_is_said(tmp_path: Path) -> None:
 MACHINE = "controller: {sample_time: 0.01}", "quantum: {y: 1e-3, u: 0.25}", "rate_limit: {u: 3}"
 
 
+@pytest.mark.slow
 def test_what_is_put_out_and_measured_comes_in_steps_and_changes_no_faster(tmp_path: Path) -> None:
     limits = "actuator: {limits: {u: [-2, 2]}}"
     result, free = (

@@ -63,6 +63,7 @@ require: {final_error: 1, largest_input: {u: 900}}
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["check", "design", "simulate"])
 @pytest.mark.parametrize("more", ["", MUCH], ids=["nothing else", "a machine"])
 def test_ten_lines_of_eighty_columns(tmp_path: Path, command: str, more: str) -> None:

@@ -109,6 +109,7 @@ def sequence(random: np.random.Generator, degree: int) -> tuple[Array, float, Ar
     return np.array([V, A, J, S, C]), h, np.repeat(sizes, random.choice([1, 2, 5, 20, 60], 8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
 def test_no_sequence_of_set_points_takes_a_derivative_beyond_its_limit(degree: int) -> None:
     """10,000 sequences in all. Each entry of w is what the entry below it changes by, which nothing limits there."""
@@ -201,6 +202,7 @@ def test_with_snap_and_crackle_it_takes_the_windows_more(degree: int, seed: int)
     assert w[:, 0].max() <= D * (1 + 1e-12) + limits[2] * h**3
 
 
+@pytest.mark.slow
 def test_each_of_two_outputs_goes_its_own_way() -> None:
     """Side by side in w, derivative by derivative, each in every bit what it is alone."""
     one, rows = chain(2), [[0.5, 2.0, 40.0], [3.0, 1.0, 5.0]]

@@ -58,6 +58,7 @@ def many(result: Result) -> EnsembleResult:
     return ensemble(result, 300, over="plane")
 
 
+@pytest.mark.slow
 def test_members_differ_in_two_states_from_the_reference_with_the_observer_on_them(many: EnsembleResult) -> None:
     loop, x_d = many.nominal.loop, many.nominal.response.x_d[0]
     for number in (0, 7):
@@ -120,6 +121,7 @@ def test_the_picture_shows_each_member_and_what_is_proved(many: EnsembleResult) 
     assert axes.get_xlabel() == "z − z_d (m)"
 
 
+@pytest.mark.slow
 def test_a_run_writes_it_and_does_not_fail_by_it(bar: Path, tmp_path: Path) -> None:
     run = call("simulate", bar, "--ensemble", 20, "--over", "plane", "--out", tmp_path / "out", pictures=True)
     assert run.exit_code == 0, run.output
@@ -146,6 +148,7 @@ def test_another_plane_is_taken_and_one_state_makes_none(tmp_path: Path) -> None
         ensemble(simulate(load_spec(tmp_path / "one.yaml")), 2, over="plane")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", ["[-1, 1]", "[-1, 0]"])
 def test_an_input_is_marked_where_it_is_at_a_limit(
     tmp_path: Path, limits: str, monkeypatch: pytest.MonkeyPatch

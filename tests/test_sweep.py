@@ -168,6 +168,7 @@ def test_two_parameters_give_maps(spec: Path, tmp_path: Path) -> None:
 SECTION = "sweep: {a: {from: 0, to: 2, points: 5}, b: [0, 1/8, pi/8]}\n"
 
 
+@pytest.mark.slow
 def test_the_file_may_say_what_varies(spec: Path, tmp_path: Path) -> None:
     spec.write_text(SPEC + SECTION, encoding="utf-8")
     run = CliRunner().invoke(app, ["sweep", str(spec), "--design", "--out", str(tmp_path / "out")])

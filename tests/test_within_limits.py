@@ -449,6 +449,7 @@ def summary(spec: Spec, controller: ProvedController) -> str:
     return " ".join(printed.getvalue().split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["", "rate: 0.5, ", "rate: largest, ", "rate: largest, gain: 0.5, "])
 def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) -> None:
     sizes = "  sizes: {z: 0.5, v: 1}\n  units:"
@@ -467,6 +468,7 @@ def test_a_spec_with_limits_is_designed_within_them(tmp_path: Path, asked: str) 
         assert controller.design.controller.rate >= 0.5
 
 
+@pytest.mark.slow
 def test_limits_leave_the_gain_as_it_is_but_where_it_is_to_keep_them(tmp_path: Path) -> None:
     """A K that keeps limits of 4 N from errors of 0.5 m is a small one; what a goal settles cannot be within limits."""
     sizes = STAGE.replace("  units:", "  sizes: {z: 0.5, v: 1, u: 5}\n  units:").replace("slope: 50", "slope: 2")

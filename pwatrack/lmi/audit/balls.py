@@ -4,7 +4,20 @@ from fractions import Fraction
 from math import ceil
 from typing import Any, NamedTuple
 
-from .matrices import AuditFault, Matrix, added, definite, identity, inverted, product, spend, times, total, transposed
+from .matrices import (
+    AuditFault,
+    Matrix,
+    added,
+    definite,
+    doubled,
+    identity,
+    inverted,
+    product,
+    spend,
+    times,
+    total,
+    transposed,
+)
 
 _DIGITS = 40  # binary ones of what is added for radii
 
@@ -164,7 +177,7 @@ def falls(
     X, R = ball
     half = product(X, P)
     half = added(half, P, rate) if rate else half
-    left = added(half, transposed(half))
+    left = doubled(half)
     left = added(left, rest) if rest else left
     enlarge(left, product(R, sizes(P)) if R else [], powers)
     enlarge(left, open_ or [], powers)
@@ -197,7 +210,7 @@ def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
     For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j. It is rounded up to a short number: the others of
     the matrix have denominators in common, and it would have another.
     """
-    for j, row in enumerate(added(half, transposed(half))):
-        more = total([v * powers[j] / power for v, power in zip(row, powers, strict=True)])
+    for j, row in enumerate(doubled(half)):
+        more = powers[j] * total([v / power if v else v for v, power in zip(row, powers, strict=True)])
         unit = Fraction(2) ** (more.numerator.bit_length() - more.denominator.bit_length() - _DIGITS)
         left[j][j] += ceil(more / unit) * unit

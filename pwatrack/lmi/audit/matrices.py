@@ -83,6 +83,16 @@ def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     return found
 
 
+def doubled(X: Matrix) -> Matrix:
+    """Return X + X^T."""
+    found = [list(row) for row in X]
+    for j, row in enumerate(found):
+        for k in range(j + 1):
+            row[k] = found[k][j] = X[j][k] + X[k][j] if X[j][k] and X[k][j] else X[j][k] or X[k][j]
+    spend(sum(map(len, X)), bits(v for row in found for v in row))
+    return found
+
+
 def times(X: Matrix, factor: Fraction | int) -> Matrix:
     """Return factor X."""
     return [[factor * v if v else v for v in row] for row in X]
