@@ -16,7 +16,7 @@ from pwatrack.arrays import Array
 _FURTHER = 1.12  # the longest step that is told apart from longer ones: nine tenths of it are a whole step
 _NEXT, _ROUGHLY = 0.98, 0.9  # of a length: the next shorter one that is tried
 _NOWHERE = 1000  # times that: no way to go
-_FEW = 12  # matrices of which all eigenvalues are quicker than whether all are definite
+_FEW = 120  # rows of matrices of which all eigenvalues are quicker than whether more of them are definite
 
 
 class Blocks:
@@ -125,8 +125,9 @@ def _lengths(X: Array, d: Array, ratio: float) -> list[float]:
     """
     root = 1 / np.sqrt(d)
     Y = X * (root[:, :, None] * root[:, None, :])
-    if Y.shape[1] > _FEW:
-        most = np.argpartition(np.einsum("ijkl,ijkl->ij", Y, Y), -_FEW, axis=1)[:, -_FEW:]
+    few = max(1, _FEW // Y.shape[2])
+    if Y.shape[1] > few:
+        most = np.argpartition(np.einsum("ijkl,ijkl->ij", Y, Y), -few, axis=1)[:, -few:]
         found = _first(np.take_along_axis(Y, most[:, :, None, None], axis=1), ratio)
         with suppress(np.linalg.LinAlgError):
             np.linalg.cholesky(np.eye(Y.shape[2]) + np.array(found)[:, None, None, None] * Y)
