@@ -46,6 +46,7 @@ from pwatrack.simulation.trace import Trace
 
 _MOST = 500_000  # substeps of a run that is walked: half a minute
 BLOCK = 20_000  # of them at a time
+_AT_ONCE = 4096  # segments whose maps are made together
 _ON_TICK = 1e-9  # of a substep: a break that is nearer before one is on it but for rounding
 
 
@@ -333,15 +334,18 @@ class _Walk:
     ) -> tuple[Array, Array]:
         """Return e₀ at the begin of each segment, and what is held in it: u + K e₀ where it begins with a tick."""
         (count, n, _), m, K = turns.shape, self._m, self._runs.K
-        A, B = turns[:, :, :n], turns[:, :, n:]
-        M, c = np.zeros((count, n + m, n + m)), np.zeros((count, n + m))  # of e₀, and what was held before
-        M[:, :n, :n], M[:, :n, n:], c[:, :n] = A, B, driven
-        M[:, n:, n:] = np.eye(m)
-        M[ticked, :n, :n], M[ticked, n:, :n], M[ticked, :, n:] = A[ticked] + B[ticked] @ K, K, 0.0
-        c[ticked, :n] += np.einsum("knm,km->kn", B[ticked], u[ticked])
-        c[ticked, n:] = u[ticked]
-        M[resting] = 0.0
-        both = recursion(M, c, np.concatenate([self._e, np.zeros(m)]))
+        both = np.zeros((count + 1, n + m))  # e₀, and what was held before
+        both[0, :n] = self._e
+        for first in range(0, count, _AT_ONCE):
+            some = slice(first, min(first + _AT_ONCE, count))
+            tick, A, B, c = ticked[some], turns[some, :, :n], turns[some, :, n:], np.zeros((some.stop - first, n + m))
+            M = np.zeros((len(c), n + m, n + m))
+            M[:, :n, :n], M[:, :n, n:], M[:, n:, n:], c[:, :n] = A, B, np.eye(m), driven[some]
+            M[tick, :n, :n], M[tick, n:, :n], M[tick, :, n:] = A[tick] + B[tick] @ K, K, 0.0
+            c[tick, :n] += np.einsum("knm,km->kn", B[tick], u[some][tick])
+            c[tick, n:] = u[some][tick]
+            M[resting[some]] = 0.0
+            both[first : some.stop + 1] = recursion(M, c, both[first])
         e, self._e = np.where(resting[:, None], 0.0, both[:-1, :n]), both[-1, :n]
         return e, np.where(ticked[:, None], u + e @ K.T, both[:-1, n:])
 

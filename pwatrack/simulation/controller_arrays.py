@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays
 
 _EVER = 2.0**100  # s
+_AT_ONCE = 1_000_000  # signs that are looked at together
 COUNTS = np.dtype([(name, np.int64) for name in ("started", "tick", "since", "piece", "cell", "cell_d", "status")])
 
 
@@ -105,12 +106,15 @@ def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:
 
 def cell(signs: IntArray, g: Array) -> int:
     """Return the first cell whose signs the guards contradict least."""
-    return int(cells(signs, g))
+    return int(cells(signs, g[None])[0])
 
 
 def cells(signs: IntArray, g: Array) -> IntArray:
-    """Return that of each of (…, k) guards."""
-    return np.asarray(np.maximum(-signs * g[..., None, :], 0.0).max(axis=-1, initial=0.0).argmin(axis=-1))
+    """Return that of each row of guards, (count, k)."""
+    some = max(1, _AT_ONCE // max(1, signs.size))
+    blocks = (g[first : first + some, None] for first in range(0, len(g), some))
+    found = [np.maximum(-signs * each, 0.0).max(axis=2, initial=0.0).argmin(axis=1) for each in blocks]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *found])
 
 
 _NOTHING: dict[str, Any] = dict.fromkeys(("C", "M", "E", "H", "K"), np.zeros((0, 0)))
