@@ -237,7 +237,7 @@ def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
     spec, controller = request.getfixturevalue(which)
     acts = the_bounds(controller).acts
     monkeypatch.setattr(acting, "BLOCK", 7)
-    monkeypatch.setattr(acting, "_AT_ONCE", 3)
+    monkeypatch.setattr(acting, "AT_ONCE", 3)
     asked = asking(spec, controller, the_bounds(controller).errors.gains)
     assert asked.acting is not None
     found = asked.acting(controller, the_bounds(controller).errors)

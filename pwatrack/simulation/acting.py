@@ -46,7 +46,7 @@ from pwatrack.simulation.trace import Trace
 
 _MOST = 500_000  # substeps of a run that is walked: half a minute
 BLOCK = 20_000  # of them at a time
-_AT_ONCE = 4096  # segments whose maps are made together
+AT_ONCE = 4096  # segments whose maps are made together
 _ON_TICK = 1e-9  # of a substep: a break that is nearer before one is on it but for rounding
 
 
@@ -336,8 +336,8 @@ class _Walk:
         (count, n, _), m, K = turns.shape, self._m, self._runs.K
         both = np.zeros((count + 1, n + m))  # e₀, and what was held before
         both[0, :n] = self._e
-        for first in range(0, count, _AT_ONCE):
-            some = slice(first, min(first + _AT_ONCE, count))
+        for first in range(0, count, AT_ONCE):
+            some = slice(first, min(first + AT_ONCE, count))
             tick, A, B, c = ticked[some], turns[some, :, :n], turns[some, :, n:], np.zeros((some.stop - first, n + m))
             M = np.zeros((len(c), n + m, n + m))
             M[:, :n, :n], M[:, :n, n:], M[:, n:, n:], c[:, :n] = A, B, np.eye(m), driven[some]
