@@ -12,7 +12,7 @@ from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.recursions import powers
 
 _LONGEST = 4096  # ticks that are made at once
-_SHORTEST = 16  # those after x_d changed its cell, and then each time twice as many
+_SHORTEST = 16  # those at first, and after x_d changed its cell, and then each time twice as many
 
 
 class AtTicks(NamedTuple):
@@ -65,25 +65,21 @@ class Held:
     def _stretch(self, most: int) -> tuple[Array, Array, Array]:
         """Return x_d, u_ff and (s, η̂, w, 1) up to where one matrix no longer does, or so many."""
         self._change()
-        more, alone = min(most, _LONGEST), len(self._turns) == 1
+        more, here = min(most, self._length), cell(self._sides, self._guards @ self._z)
         if self._changes:
             more = min(more, self._changes[0] - self._tick)
-        here = 0 if alone else cell(self._sides, self._guards @ self._z)
-        if not alone:
-            more = min(more, self._length)
-            self._length = min(2 * self._length, _LONGEST)
         z = powers(self._turns[here], self._z, more + 1)
-        other = np.zeros(more, dtype=bool) if alone else cells(self._sides, z[:-1] @ self._guards.T) != here
-        if other[1:].any():
-            more, self._length = 1 + int(other[1:].argmax()), _SHORTEST
+        other = cells(self._sides, z[1:-1] @ self._guards.T) != here
+        self._length = min(2 * self._length, _LONGEST)
+        if other.any():
+            more, self._length = 1 + int(other.argmax()), _SHORTEST
         self._z, self._tick, z = z[more], self._tick + more, z[:more]
         return z @ self._x_d[here].T, z @ self._u_ff[here].T, z
 
     def _change(self) -> None:
         """Make the pieces of w begin, and loads step, that do so at this tick."""
-        while self._changes and self._changes[0] <= self._tick:
-            tick, z, (k, at, _) = self._changes.pop(0), self._z.copy(), self._edges
+        if self._changes[:1] == [self._tick]:
+            tick, (k, at, _) = self._changes.pop(0), self._edges
             for start, w in self._pieces.get(tick, ()):
-                z[at + start :][: len(w)] = w
-            z[:k] += self._steps.get(tick, 0.0)
-            self._z = z
+                self._z[at + start :][: len(w)] = w
+            self._z[:k] += self._steps.get(tick, 0.0)

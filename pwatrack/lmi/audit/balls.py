@@ -9,11 +9,11 @@ from .matrices import (
     Matrix,
     added,
     definite,
-    doubled,
     identity,
     inverted,
     product,
     spend,
+    symmetric_part,
     times,
     total,
     transposed,
@@ -177,7 +177,7 @@ def falls(
     X, R = ball
     half = product(X, P)
     half = added(half, P, rate) if rate else half
-    left = doubled(half)
+    left = symmetric_part(half)
     left = added(left, rest) if rest else left
     enlarge(left, product(R, sizes(P)) if R else [], powers)
     enlarge(left, open_ or [], powers)
@@ -210,7 +210,7 @@ def enlarge(left: Matrix, half: Matrix, powers: list[Fraction]) -> None:
     For any a > 0, 2 |v_j v_k| <= v_j^2 a_j / a_k + v_k^2 a_k / a_j. It is rounded up to a short number: the others of
     the matrix have denominators in common, and it would have another.
     """
-    for j, row in enumerate(doubled(half)):
+    for j, row in enumerate(symmetric_part(half)):
         more = powers[j] * total([v / power if v else v for v, power in zip(row, powers, strict=True)])
         unit = Fraction(2) ** (more.numerator.bit_length() - more.denominator.bit_length() - _DIGITS)
         left[j][j] += ceil(more / unit) * unit

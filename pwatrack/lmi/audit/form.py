@@ -6,7 +6,7 @@ from functools import reduce
 from typing import Any
 
 from .balls import Ball, frozen, stacked, unlike, zero
-from .matrices import AuditFault, Matrix, added, definite, doubled, identity, inverted, product, times
+from .matrices import AuditFault, Matrix, added, definite, identity, inverted, product, symmetric_part, times
 from .plant import AuditedPlant
 from .reading import matrix, number, place
 
@@ -82,7 +82,7 @@ def one_to_one(D: list[Ball], scales: list[Fraction]) -> None:
     for X, _ in D:
         ratios = [[a / b for b in scales] for a in scales]
         Q = [[v * w for v, w in zip(*rows, strict=True)] for rows in zip(product(X, mean), ratios, strict=True)]
-        if not definite(doubled(Q)):
+        if not definite(symmetric_part(Q)):
             raise AuditFault("the last derivatives of the outputs are not moved the same way in all cells")
 
 

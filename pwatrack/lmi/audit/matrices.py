@@ -83,14 +83,11 @@ def added(X: Matrix, Y: Matrix, factor: Fraction | int = 1) -> Matrix:
     return found
 
 
-def doubled(X: Matrix) -> Matrix:
-    """Return X + X^T."""
-    found = [list(row) for row in X]
-    for j, row in enumerate(found):
-        for k in range(j + 1):
-            row[k] = found[k][j] = X[j][k] + X[k][j] if X[j][k] and X[k][j] else X[j][k] or X[k][j]
-    spend(sum(map(len, X)), bits(v for row in found for v in row))
-    return found
+def symmetric_part(X: Matrix) -> Matrix:
+    """Return X + X^T, of which each entry is added once."""
+    n = range(len(X))
+    low = added([row[: j + 1] for j, row in enumerate(X)], [[X[k][j] for k in range(j + 1)] for j in n])
+    return [[low[max(j, k)][min(j, k)] for k in n] for j in n]
 
 
 def times(X: Matrix, factor: Fraction | int) -> Matrix:

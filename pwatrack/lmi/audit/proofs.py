@@ -5,7 +5,7 @@ from functools import reduce
 from typing import Any
 
 from .balls import Ball, falls, unlike
-from .matrices import AuditFault, Matrix, added, definite, doubled, identity, positive, product, rank, transposed
+from .matrices import AuditFault, Matrix, added, definite, identity, positive, product, rank, symmetric_part, transposed
 from .reading import matrix, number, packed, symmetric
 
 
@@ -67,7 +67,7 @@ def multipliers(matrices: list[Ball], proof: Any, rate: Fraction) -> tuple[list[
         if len(Z) != n:
             raise AuditFault("Z is not of the order of the matrices")
         half = product(Z, added(matrices[int(i)][0], identity(n, rate)))
-        S = added(S, doubled(half))
+        S = added(S, symmetric_part(half))
         found.append(Z)
     return found, S
 
