@@ -102,7 +102,7 @@ def ran(subject: Subject, found: Rounding, steps: int) -> tuple[Array, Array, fl
         x_hat.append(np.array(told["v"])[numbers.program.places["x_hat"]] * numbers.units["x_hat"])
         return rows[-1][1]
 
-    x = beside(plant, step, run.x[0], ticks=steps, h=h, delay=gains.delay, disturbance=disturbance, substeps=SUBSTEPS)
+    x = beside(plant, step, run.x[0], ticks=steps, h=h, disturbance=disturbance, substeps=SUBSTEPS)
     signals = np.eye(len(plant.B)) if controller.tracking == "state" else plant.tracked
     most = bounds.from_start or bounds.from_zero
     limits = np.array([most[controller.tracking, k] for k in range(len(signals))]).T[:: gains.substeps][:steps]

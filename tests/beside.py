@@ -15,16 +15,14 @@ def beside(
     *,
     ticks: int,
     h: float,
-    delay: int = 0,
     disturbance: Callable[[float], Array] | None = None,
     substeps: int = 20,
 ) -> Array:
-    """Return x at so many ticks, h apart: u = step(k, x) acts `delay` ticks later; x' is disturbed from tick on."""
-    found, waits = list[Array](), [np.zeros(plant.B.shape[1])] * delay
+    """Return x at so many ticks, h apart: u = step(k, x) acts from each on; x' is disturbed from tick on."""
+    found = list[Array]()
     for k in range(ticks):
         found.append(x)
-        waits.append(step(k, x))
-        held = plant.B @ waits.pop(0) + (0.0 if disturbance is None else disturbance(k * h))
+        held = plant.B @ step(k, x) + (0.0 if disturbance is None else disturbance(k * h))
         x = moved(plant, x, held, h / substeps, substeps)
     return np.array(found)
 

@@ -180,7 +180,7 @@ def plants(specs: Path, tmp_path: Path) -> Iterator[Path]:
         push = "1/m" if name == "uncertain" else "1"
         damping = "0.3" if name == "polynomials" else "1"
         limits = "actuator: {limits: {u: [-9, 9]}}" if name == "uncertain" else "portraits: []"
-        limits = "controller: {sample_time: 0.01, delay: 1}" if name == "late" else limits
+        limits = "controller: {sample_time: {nominal: 0.01, jitter: 1e-4}, delay: 1}" if name == "late" else limits
         limits = "disturbance: {v: 0.001*sin(3*t)}" if name == "disturbed" else limits
         limits = "controller: {sample_time: 0.01}, quantum: {y: 0.001}" if name == "setpoint" else limits
         path = tmp_path / f"{name}.yaml"

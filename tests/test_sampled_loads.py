@@ -36,8 +36,11 @@ from pwatrack.lmi.audit.plant import AuditedPlant
 from pwatrack.lmi.audit.ticks import AuditedErrors
 from pwatrack.lmi.clocked import ClockedProof, fastest
 from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.model.reference import exosystem
+from pwatrack.model.signal import Signal
 from pwatrack.rational import rational
 from pwatrack.report.certificate import design_certificate
+from pwatrack.simulation.late_start import late_start
 from tests.plain import Plain
 from tests.sampled import asking, form_at, integrated, predicted, with_sampled, worst_found
 from tests.test_preview import blown
@@ -137,12 +140,17 @@ class Rest:
 
 
 def running(
-    errors: SampledErrors, controller: ProvedController, seed: int, ticks: int, jitter: float | None = None
+    errors: SampledErrors,
+    controller: ProvedController,
+    seed: int,
+    ticks: int,
+    jitter: float | None = None,
+    start: tuple[Array, Array, Array, Array] | None = None,
 ) -> Iterator[tuple[int, int, Array]]:
     """Yield z along the loop of plant and program, as both run, in each substep many times.
 
     Loads that swing are 0, so that x_d rests; what is estimated of them is not. Ticks come early and late, as the gains
-    say or by another jitter.
+    say or by another jitter. It starts somewhere, or where x − x_d, (x̂, ŝ), s and η̂ of the program are as given.
     """
     size, early = 0.2, (errors.gains.jitter if jitter is None else jitter) / errors.gains.sample_time
     random, plant, gains, fine = np.random.default_rng(seed), controller.plant, errors.gains, 6
@@ -151,14 +159,12 @@ def running(
     loads, n, r, d, of = plant.loads, len(plant.B), errors.parts, gains.delay, tables.sizes
     assert loads is not None
     s = random.normal(size=len(loads.S.floats)) * size * (not np.abs(loads.S.floats).any())
+    s = s if start is None else start[2]
     rest = Rest(Plain(tables, np.zeros(of["N"]), np.zeros(of["p"])), s)
-    start = np.append(rest.x_d, s) + random.normal(size=of["N"]) * size
-    runs, x, step = (
-        Plain(tables, start, rest.eta),
-        rest.x_d + random.normal(size=n) * size,
-        gains.sample_time / r / fine,
-    )
-    queue, seen = [[np.zeros(0)]] * d, [start] * errors.predicted
+    known = np.append(rest.x_d, s) + random.normal(size=of["N"]) * size if start is None else start[1]
+    runs, step = Plain(tables, known, rest.eta if start is None else start[3]), gains.sample_time / r / fine
+    x = rest.x_d + (random.normal(size=n) * size if start is None else start[0])
+    queue, seen = [[np.zeros(0)]] * d, [known] * errors.predicted
     for tick in range(ticks):
         assert runs.step(plant.C @ x) == 0
         now = runs.state
@@ -213,6 +219,35 @@ def test_the_form_falls_along_the_loop_itself(delay: int, loaded: tuple[str, Spe
     assert proof.rate > 0.1
     for seed in range(3):
         falls_along(errors, proof, controller, seed)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("delay", [1, 2])
+def test_where_inputs_are_late_z_is_known_as_the_first_one_acts(
+    delay: int, seed: int, loaded: tuple[str, Spec, ProvedController]
+) -> None:
+    """A tick makes of it what it makes of z of the loop, which runs from the same start on."""
+    name, _, controller = loaded
+    gains, random = gains_of(controller, 0.02, delay), np.random.default_rng(seed)
+    errors, loads, n = errors_of(controller, gains), controller.plant.loads, len(controller.plant.B)
+    assert loads is not None
+    s = random.normal(size=len(loads.S.floats)) * 0.2 * (name not in ("sinusoids", "humming"))
+    away, x_hat = random.normal(size=(2, n)) * 0.2
+    runs = replace(controller, claims=(SampledLoop(gains=gains, proof=None),))
+    tables = program(runs, Conditions(sampling=Sampling(sample_time=0.02, delay=delay)))
+    rest = Rest(Plain(tables, np.zeros(tables.sizes["N"]), np.zeros(tables.sizes["p"])), s)
+    acting = Conditions(disturbance=exosystem([Signal.of(float(each)) for each in loads.E.floats @ s]))
+    quiet, begin = {"off": np.zeros(n), "noise": np.zeros(len(controller.plant.C))}, (rest.x_d + away, x_hat, rest.eta)
+    found = late_start(runs, acting, errors, begin, **quiet)
+    assert found is not None
+    assert not found.off.any()
+    known, eta = np.append(x_hat, 0 * s), rest.eta
+    w = Plain(tables, known, eta).state["w"]
+    for _ in range(delay):  # η̂ goes on to the time at which the first input acts, with the estimates that there are
+        v = np.concatenate([0 * s, eta, w, [1.0]])
+        eta = tables.generator[int(np.argmax((tables.sides * np.sign(tables.guards @ v) >= 0).all(axis=1)))] @ v
+    *_, z = next(running(errors, controller, seed, delay + 1, start=(away, known, s, eta)))
+    assert missed(np.array([J.floats for J in errors.clocked.J]), found.z, z) < 1e-6
 
 
 def missed(vertices: Array, z: Array, after: Array) -> float:

@@ -87,6 +87,8 @@ class ProgramRanges(Claim):
                 ends = f"{down(low)} to {up(high)} {unit}".rstrip()
                 said.append(f"{shown} {ends}")
         begins = "its start" if self.bounds.errors.starts is not None else "x = x̂ = x_d"
-        begins += " as the first input acts" * (self.bounds.errors.gains.delay > 0)
+        begins += " as the first input acts" * (
+            self.bounds.errors.gains.delay > 0 and self.bounds.errors.starts is None
+        )
         of = f"in the program, in this run from {begins} on{words.as_designed}{words.off_limits}"
         yield "numbers", f"{of}: {'; '.join(said)}"

@@ -150,7 +150,7 @@ class TubeBounds(Claim):
             if (near >= where).all():
                 break
             where = near & where
-        return self._total(levels)
+        return self._total(levels, start=start)
 
     @cached_property
     def anywhere(self) -> dict[Form, Array]:
@@ -221,11 +221,15 @@ class TubeBounds(Claim):
         each = self._sum(levels, len(flat), lambda one: one.spread(flat))
         return np.asarray(each.reshape(len(each), *rows.shape[:2]).max(axis=1))
 
-    def _total(self, levels: Mapping[Channel, Sequence[Array]] | None) -> dict[Form, Array]:
+    def _total(self, levels: Mapping[Channel, Sequence[Array]] | None, *, start: bool = False) -> dict[Form, Array]:
+        """Return what signals are at most in each substep; from the start on with what is before the first input."""
         if levels is None:
             return {}
+        beside, late = dict(self.acts.beside), self.acts.late if start else None
+        for form, first in late.beside.items() if late is not None else ():
+            beside[form] = np.append(first, beside.get(form, np.zeros(len(self.acts.near)))[len(first) :])
         most = self._sum(levels, len(self.forms), lambda one: np.array(one.sizes))
-        return {form: each + self.acts.beside.get(form, 0.0) for form, each in zip(self.forms, most.T, strict=True)}
+        return {form: each + beside.get(form, 0.0) for form, each in zip(self.forms, most.T, strict=True)}
 
     def _sum(
         self, levels: Mapping[Channel, Sequence[Array]] | None, count: int, sizes: Callable[[Tube], Array]
@@ -375,7 +379,7 @@ class SampledBounds(TubeBounds):
             begins = "from the start of this run on" if self.from_start else "from x = x̂ = x_d on"
             said = f"{ends} in the end in the sampled loop, for any switching, between ticks too"
             yield "in this run", f"{said}, beside what is left of the start{off}"
-            if not self.errors.gains.delay:
+            if self.from_start or not self.errors.gains.delay:
                 yield "", f"{begins} never more than {', '.join(always)}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.exact_text import CLOSE, doubles
 from pwatrack.control.bounds import Channel
@@ -18,18 +19,31 @@ from pwatrack.lmi.clocked_tubes import Tube
 def from_start(
     controller: ProvedController, asked: Asked, errors: SampledErrors, acts: Acting
 ) -> tuple[SampledErrors, Acting]:
-    """Return them with the start of the run, where it is known and no input is late, as something more that acts."""
-    starts = None if asked.begins is None or errors.gains.delay else asked.begins(controller)
+    """Return them with the start of the run, where it is known, as something more that acts.
+
+    Where inputs are late that is where the run is as the first one acts.
+    """
+    noise = acts.noise(len(controller.plant.C))
+    if errors.gains.delay:
+        late = None if asked.late is None else asked.late(controller, errors, noise)
+        if late is None or late.substeps >= len(acts.near):
+            return errors, acts
+        return _begun(errors, acts.after(late), np.column_stack([late.z, np.diag(late.off)]))
+    starts = None if asked.begins is None else asked.begins(controller)
     if starts is None:
         return errors, acts
     if asked.measured is not None:
-        noise, loads = acts.noise(len(controller.plant.C)), len(controller.L) - len(controller.plant.B)
+        loads = len(controller.L) - len(controller.plant.B)
         starts = starts.with_more(asked.measured * noise, loads)
-    columns = errors.before(starts)
+    return _begun(errors, acts, errors.before(starts))
+
+
+def _begun(errors: SampledErrors, acts: Acting, columns: Array) -> tuple[SampledErrors, Acting]:
+    """Return them with what z is a mean of as the first input acts, of any sign, (order, k)."""
     sizes = np.abs(columns) / np.array(errors.clocked.sizes)[:, None]
     columns = columns[:, (sizes > ROUNDING).any(axis=0)]
     first = np.zeros(len(acts.near))
-    first[0] = 1.0
+    first[errors.gains.delay * errors.gains.substeps] = 1.0
     squares = dict(acts.squares) | {("start", k): first for k in range(columns.shape[1])}
     starts_at = [BallMatrix.of(column[:, None], (errors.order, 1)) for column in columns.T]
     return replace(errors, starts=starts_at), replace(acts, squares=squares)

@@ -19,7 +19,7 @@ from pwatrack.control.demand import Demand
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.guarantees import Guarantees, guarantees
 from pwatrack.control.headroom import Headroom, SignalRoom, Starts
-from pwatrack.control.sampled_disturbances import Acting
+from pwatrack.control.sampled_disturbances import Acting, LateStart
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.synthesis import Gains
@@ -52,6 +52,7 @@ class Asked:
     measured: Array | None = None  # X of x̂(0) = X y, (n, q), where the observer starts from what is measured
     acting: "Callable[[ProvedController, SampledErrors], Acting | None] | None" = None  # in the run
     begins: "Callable[[ProvedController], Starts | None] | None" = None  # with which errors the run does, if known
+    late: "Callable[[ProvedController, SampledErrors, Array], LateStart | None] | None" = None  # and noise: likewise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ which both are on one side of every plane. "drawn", "cell" and "eta" are of esti
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -54,6 +54,30 @@ ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by l
 
 
 @dataclass(frozen=True, kw_only=True)
+class LateStart:
+    """Where the errors of a sampled loop are just before its first input acts, and what there was before.
+
+    Attributes:
+        z: Without noise, (order,).
+        off: How far z is from that at most, beside what noise adds, (order,).
+        beside: How large signals are at most in each substep before, likewise.
+        along: Between what numbers of the program are there, (k, 2) each, likewise.
+        clear: How many sizes (x̂, ŝ) may be off more in each sample, and is in the same cells.
+    """
+
+    z: Array
+    off: Array
+    beside: Mapping[Form, Array]
+    along: Mapping[str, Array]
+    clear: float
+
+    @property
+    def substeps(self) -> int:
+        """How many there are before."""
+        return len(next(iter(self.beside.values())))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Acting:
     """What acts in a run, in each of its K substeps.
 
@@ -68,6 +92,7 @@ class Acting:
         changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
         along: Between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held;
             x_d, u_ff, eta_hat and w at ticks; s_hat. Of loads at inputs u and u_ff have what these take off.
+        late: How the run begins as its inputs are late; None where they are not, or that is not known.
     """
 
     squares: Mapping[Channel, Array]
@@ -79,10 +104,27 @@ class Acting:
     changes: Array
     loads: Array
     along: Mapping[str, Array] = field(default_factory=dict)
+    late: LateStart | None = None
+
+    def after(self, late: LateStart) -> "Acting":
+        """Return what acts from a start on that all but noise before it is in, and what there is before."""
+        since = np.arange(len(self.near)) >= late.substeps
+        squares, means = (
+            {channel: each if channel[0] == "noise" else each * since for channel, each in sizes.items()}
+            for sizes in (self.squares, self.means)
+        )
+        squares = {channel: each for channel, each in squares.items() if each.any()}
+        along = {name: joined(ends, late.along.get(name, ends)) for name, ends in self.along.items()}
+        return replace(self, squares=squares, means=means, along=along, late=late)
 
     def noise(self, outputs: int) -> Array:
         """Return how much is measured off at most at any tick, of so many outputs."""
         return np.array([float(np.sqrt(self.squares.get(("noise", k), np.zeros(1)).max())) for k in range(outputs)])
+
+
+def joined(ends: Array, more: Array) -> Array:
+    """Return between what numbers are that are within some ends, (k, 2), or within others."""
+    return np.column_stack([np.minimum(ends[:, 0], more[:, 0]), np.maximum(ends[:, 1], more[:, 1])])
 
 
 def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where: Array | float = 1.0) -> Array:

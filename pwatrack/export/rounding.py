@@ -97,6 +97,10 @@ class Rounding:
         kicked = tuple(self._kicked(tube) for each in tubes.values() for tube in each)
         if not (kicked and off.keys() <= tubes.keys()):
             raise CheckFailed(f"{_REFUSED}no bound was found for what it leaves", hint=_OTHER)
+        late, of = known.acts.late, self.controller.sizes
+        each = self.predicted + self.corrected
+        if late is not None and (each > late.clear * np.concatenate([of.state, of.load])).any():
+            raise CheckFailed(f"{_REFUSED}so much that it may begin in other cells, as inputs are late", hint=_OTHER)
         squares, beside = {**known.acts.squares, _CHANNEL: np.ones(count)}, dict(known.acts.beside)
         for k, size in enumerate(off.values()):
             squares["input", k] = (np.sqrt(squares.get(("input", k), np.zeros(count))) + size) ** 2

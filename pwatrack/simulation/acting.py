@@ -27,7 +27,7 @@ from pwatrack.arrays import OVER_POWERS, Array, IntArray
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController, program
-from pwatrack.control.sampled_disturbances import ROUNDING, Acting
+from pwatrack.control.sampled_disturbances import ROUNDING, Acting, joined
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.vertices import Differences
 from pwatrack.errors import CheckFailed, Undecided
@@ -251,10 +251,7 @@ class _Walk:
     def _see(self, name: str, low: Array, high: Array) -> None:
         """Take lower and upper ends of some numbers, (K, k) each, into account."""
         ends = np.column_stack([low.min(axis=0), high.max(axis=0)])
-        before = self._along.get(name, ends)
-        self._along[name] = np.column_stack(
-            [np.minimum(before[:, 0], ends[:, 0]), np.maximum(before[:, 1], ends[:, 1])]
-        )
+        self._along[name] = joined(ends, self._along.get(name, ends))
 
     def _rows(self, mode: Mode) -> Array:
         """Return rows on (e₀, what is held, η̂, w, 1).

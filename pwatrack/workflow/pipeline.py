@@ -16,7 +16,7 @@ from pwatrack.control.headroom import Headroom, InputConstraint, Starts
 from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
-from pwatrack.control.sampled_disturbances import Acting
+from pwatrack.control.sampled_disturbances import Acting, LateStart
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
@@ -27,6 +27,7 @@ from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
 from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
+from pwatrack.simulation.late_start import late_start
 from pwatrack.simulation.propagate import sample_count, trace_blocks
 from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_measured, measured_start, periodic_state
@@ -115,6 +116,7 @@ def asked_of(
         changes=None if sampling is None or rates is None else rates * sampling.sample_time,
         acting=lambda proved, errors: _acting(spec, proved, errors),
         begins=lambda proved: _begins(spec, proved),
+        late=lambda proved, errors, noise: _late(spec, proved, errors, noise),
     )
 
 
@@ -131,6 +133,22 @@ def _begins(spec: Spec, controller: ProvedController) -> Starts | None:
     with suppress(PwatrackError):
         eta, _, x = _plant_and_generator_start(spec, controller)
         return next(starts_of(spec, controller.trajectory, x, eta, controller.sizes), None)
+    return None
+
+
+def _late(spec: Spec, controller: ProvedController, errors: SampledErrors, noise: Array) -> LateStart | None:
+    """Return where the run is as its first input acts, which is late; None where that is not known."""
+    initial, n = spec.scenario.initial, len(controller.plant.B)
+    if "generator" in spec.scenario.regions:
+        return None
+    with suppress(PwatrackError):
+        eta, _, x = _plant_and_generator_start(spec, controller)
+        if isinstance(initial.observer, Measured):
+            read = from_measured(controller.sizes, controller.plant.C)
+            x_hat, off = read @ controller.plant.C @ x, np.abs(read) @ noise
+        else:
+            x_hat, off = initial_values(initial.observer, n, "observer"), np.zeros(n)
+        return late_start(controller, spec.scenario.conditions, errors, (x, x_hat, eta), off=off, noise=noise)
     return None
 
 
