@@ -383,7 +383,7 @@ def test_bounds_where_inputs_are_late_hold_for_switchings_and_in_the_run(delay: 
     spec = load_spec(tmp_path / "plant.yaml")
     controller = design(spec)
     claim = the_bounds(controller)
-    assert {kind for kind, _ in claim.tubes} == {"noise", "input", "nominal", "moved"}
+    assert {kind for kind, _ in claim.tubes} == {"noise", "input", "nominal", "moved", "start"}
     for channel, each in claim.tubes.items():
         for form in (("output", 0), ("input", 0)):
             c = row(claim.errors, form).floats
@@ -391,8 +391,12 @@ def test_bounds_where_inputs_are_late_hold_for_switchings_and_in_the_run(delay: 
                 size = one.sizes[claim.forms.index(form)]
                 assert max(worst_found(claim, channel, c, seed, summed=one.summed) for seed in range(3)) <= size
     assert not audit(json.dumps(design_certificate(spec, controller)))[1]
-    final, bound = simulate(spec, controller).final_error, claim.ends_below(controller)["output", 0]
-    assert 0.02 * bound < final <= bound
+    run, ends = simulate(spec, controller), claim.ends_below(controller)["output", 0]
+    at = (run.response.t * claim.errors.gains.substeps / 0.05 + 1e-9).astype(int)
+    off, most = np.abs(run.response.tracking_error[:, 0]), claim.from_start["output", 0][at]
+    assert 0.02 * ends < run.final_error <= ends
+    assert (off <= most * (1 + 1e-6)).all()
+    assert off[5 * delay - 1] > 0.5 * most[5 * delay - 1]  # no input acts, which is known
 
 
 def test_nothing_moves_where_no_plane_is_near(sampled: tuple[Spec, ProvedController]) -> None:
