@@ -114,7 +114,7 @@ def fastest(system: Clocked, *, knots: int, shares: Sequence[float] = ()) -> Clo
     if len(system.blocks) < 2:
         alone = program.fastest(program.most, _LOOKS)
         return None if alone is None else proved_forms(system, alone, alone.rate)
-    best = program.at(0.0)
+    best = program.at(0.0, any_margin=True)
     if best is None or not best.rate > 0:
         return None
     most = program.most_of_parts(system.blocks, _LOOKS) or 0.0

@@ -29,6 +29,7 @@ _STEEP = 100.0  # for what a tick leaves of the form, beside rates: it need not 
 _AGAIN, _FASTER = 4, 1.02  # times that forms are looked for in coordinates of those before, as long as it helps
 _AROUND = (1.0, 0.9)  # of a rate: what coordinates are of, in which forms for it are looked for too
 _NEAR = 0.05  # share of the largest rate up to which it is looked for
+_JUST = 0.99  # of that: how much more than a rate is looked at, so that it is known if there is none
 _GROWS = 1e12  # what a period makes of z, from which on no forms are looked for
 _GAP = 0.1  # share of the margin that may be missed
 _SIGN = 0.5  # the same where any will do, of what it is below 0 at least
@@ -245,11 +246,13 @@ class ClockedForms:
         return None if v is None else (chain.matrices(v), chain.scalars(v).reshape(self.count, -1))
 
     def fastest(self, most: float, looks: int) -> Forms | None:
-        """Return forms that prove nearly the largest rate, below one that none can."""
+        """Return forms that prove nearly the largest rate, below one that none can; or one that is `most` or more."""
         program, first = self, self.at(0.0)
         if first is None or not first.rate > 0:
             return None
-        first = self.again(first)
+        first = self.again(first, most=most)
+        if first.rate >= most:
+            return first
 
         def at(rate: float) -> tuple[float, Forms] | None:
             nonlocal program
@@ -259,18 +262,24 @@ class ClockedForms:
             program = program.from_here(found)
             return found.rate, found
 
+        def a_little_more(rate: float, without: float) -> float:
+            return min((rate + without) / 2, (1 + _JUST * _NEAR) * rate)
+
         program = self.from_here(first)
-        return bisected((first.rate, first), most, at, near=_NEAR, most=looks)[1]
+        return bisected((first.rate, first), most, at, near=_NEAR, most=looks, middle=a_little_more)[1]
 
     def from_here(self, found: Forms) -> "ClockedForms":
         """Return the program in coordinates of forms, where searches begin."""
         return replace(self, near=found.P[0], begin=found)
 
-    def again(self, found: Forms, rate: float = 0.0) -> Forms:
-        """Return what is found in coordinates of forms, at their rate or a larger one that is asked, or these."""
-        for _ in range(_AGAIN):
+    def again(self, found: Forms, rate: float = 0.0, most: float = np.inf) -> Forms:
+        """Return what is found in coordinates of forms, at their rate or a larger one that is asked, or these.
+
+        It ends once there is one that is `most` or more.
+        """
+        for _ in range(_AGAIN if found.rate < most else 0):
             last, found = found.rate, found.or_faster(self.from_here(found).at(max(found.rate, rate)))
-            if not found.rate > _FASTER * last:
+            if not most > found.rate > _FASTER * last:
                 break
         return found
 
