@@ -74,11 +74,8 @@ class _Waiting:
     ) -> None:
         gains, (x, x_hat, self._eta) = errors.gains, start
         sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
-        self._controller, self._errors, self._runs = (
-            controller,
-            errors,
-            program(controller, Conditions(sampling=sampling)),
-        )
+        self._runs = program(controller, Conditions(sampling=sampling))
+        self._controller, self._errors = controller, errors
         self._parts, self._step = gains.substeps, gains.sample_time / gains.substeps
         self._count = gains.delay * gains.substeps
         loads = LoadsAlong.of(controller, conditions, gains)  # what steps as the first input acts steps after it
