@@ -363,10 +363,17 @@ def test_loads_take_their_part(pole: tuple[Spec, ProvedController], loaded: tupl
 
 @pytest.mark.slow
 def test_where_inputs_are_late_it_is_said_of_errors_as_the_first_one_acts(tmp_path: Path) -> None:
-    """Without an input the plant falls for two samples; from the edge as these end the program itself settles."""
+    """Without an input the plant falls for two samples; from the edge as these end the program itself settles.
+
+    So it does from the start of the run, which is within what is proved of it.
+    """
     path, size = written(tmp_path, delay=2), np.array([0.3, 0.6])
     controller = design(load_spec(path))
-    assert set(scaled(controller)) == {"exact"}
+    assert set(scaled(controller)) == {"exact", "run"}
+    assert scaled(controller)["run"] > 1
+    run = simulate(load_spec(path), controller)
+    assert np.abs(run.response.u).max() == 2.0
+    assert run.final_error < 1e-3
     late = Conditions(limits=np.array([[-2.0, 2.0]]), sampling=Sampling(sample_time=0.02, delay=2))
     corners = scaled(controller)["exact"] * size * np.array([[1, 1], [-1, 1], [1, -1], [-1, -1], [4, 4]])
     before = [solve_ivp(falls, (0.04, 0), e, rtol=1e-12, atol=1e-14).y[:, -1] for e in corners]
@@ -375,6 +382,7 @@ def test_where_inputs_are_late_it_is_said_of_errors_as_the_first_one_acts(tmp_pa
     assert beyond > 0.5
     said = call("design", path, "--out", tmp_path / "out", "--verbose").stdout
     assert "and x̂ = x, as the first input acts, with inputs at their limits too" in " ".join(said.split())
+    assert "errors go to 0 from the start of this run, with inputs at their limits too" in " ".join(said.split())
     assert verify(tmp_path / "out", path)
 
 
@@ -462,7 +470,7 @@ def certificate(loaded: tuple[Spec, ProvedController]) -> dict[str, Any]:
 
 
 def test_it_is_audited(certificate: dict[str, Any], late: tuple[Spec, ProvedController]) -> None:
-    for content, boxes in ((certificate, 3), (design_certificate(*late), 1)):
+    for content, boxes in ((certificate, 3), (design_certificate(*late), 2)):
         said, faults = audit(json.dumps(content))
         assert not faults
         assert f"with inputs at their limits errors of the sampled loop go to 0 from {boxes} boxes of starts" in said
@@ -487,6 +495,21 @@ def test_a_row_of_a_change_is_audited(slow: tuple[Spec, ProvedController]) -> No
         forged["sampled_regions"] = forged["sampled_regions"][place:][:1]
         change(forged["sampled_regions"][0])
         assert any(fault in one for one in audit(json.dumps(forged))[1]), fault
+
+
+def test_a_start_with_all_that_was_predicted_is_audited(late: tuple[Spec, ProvedController]) -> None:
+    content = design_certificate(*late)
+    (entry,) = (one for one in content["sampled_regions"] if one["of"] == "run")
+    content["sampled_regions"] = [entry]
+    assert any(any(float(v) for v in row) for row in entry["starts"][6:9])  # what was predicted a sample before
+    assert not audit(json.dumps(content))[1]
+    forgeries: list[tuple[Any, str]] = [
+        (times(entry["starts"], 1e3), "a start is not in the region"),
+        ([*entry["starts"][:-1], ["0.1"] * len(entry["weights"])], "what a substep moves"),
+    ]
+    for starts, fault in forgeries:
+        entry["starts"] = starts
+        assert any(fault in one for one in audit(json.dumps(content))[1]), fault
 
 
 @pytest.mark.parametrize(

@@ -344,11 +344,13 @@ def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
 
 def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
-    G, n = starts.G, len(starts.e)
+    G, n = starts.G if starts.z is None else starts.z, len(starts.e)
     told = np.array(doubles(entries[starts.kind]["starts"])) if starts.kind in entries else G
     G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
     if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
         return starts
+    if starts.z is not None:
+        return replace(starts, z=told)
     delta, load = (rows if len(rows) else None for rows in (told[n : 2 * n], told[2 * n :]))
     return replace(starts, e=told[:n], delta=delta, load=load)
 

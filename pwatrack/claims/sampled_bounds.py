@@ -173,12 +173,12 @@ class TubeBounds(Claim):
 
         Then by how much it changes them from one tick to the next at most, with all that they change by along x_d, from
         0 on. It is for the loop without limits; `rows` read them off z, less estimates of loads, so that loads that
-        step, and are in no start, are added.
+        step, and are in no start, are added. Before the first input acts none is taken.
         """
-        loads = self.errors.plant.loads
+        loads, first = self.errors.plant.loads, self.errors.gains.delay * self.errors.gains.substeps
         at = np.array((loads and loads.inputs(self.errors.plant.exact.B)) or (), dtype=np.int64)
         most = self.off(rows) + [self.acts.loads[: len(at)][at == k].sum() for k in inputs]
-        beside = [self.acts.beside.get(("input", k), np.zeros(1)).max() for k in inputs]
+        beside = [self.acts.beside.get(("input", k), np.zeros(1))[first:].max(initial=0.0) for k in inputs]
         return (most + beside) * OVER_SUMS, (2 * most + self.acts.changes[list(inputs)]) * OVER_SUMS
 
     def off(self, rows: Array, *, start: bool = False) -> Array:
@@ -188,6 +188,13 @@ class TubeBounds(Claim):
         """
         levels = self._levels(np.ones((2, len(self.acts.near))), start=True) if start else self._everywhere
         return np.asarray(self._sum(levels, len(rows), lambda one: one.spread(rows)).max(axis=0))
+
+    @property
+    def begun(self) -> Array | None:
+        """Where the run is as its first input acts, if that is late, known, and not on x_d, (order, k)."""
+        if self.acts.late is None or not self._starts:
+            return None
+        return np.hstack([column.floats for column in self._starts])
 
     @property
     def _starts(self) -> Sequence[BallMatrix]:

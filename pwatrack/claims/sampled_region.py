@@ -50,7 +50,7 @@ class SampledRegion(RegionClaim):
         changes: What is left, likewise, of what inputs may change by in a sample, (m,); None where these have no such
             limits.
         idle: Whether nothing acts.
-        late: Whether inputs are: then starts are as the first input of the program acts, not as the run begins.
+        late: Whether inputs are: then starts with x̂ = x are as the first input of the program acts.
     """
 
     changes: Array | None = field(repr=False)
@@ -109,7 +109,8 @@ class SampledRegion(RegionClaim):
             return
         for one in self.found:
             starts = self.starts_said(left, words, controller, one)
-            starts += ", as the first input acts" * (self.late and one.starts.kind != "every")
+            whole = one.starts.kind == "every" or one.of_this_run(left)
+            starts += ", as the first input acts" * (self.late and not whole)
             yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
             label = ""
 
@@ -147,6 +148,7 @@ class _Search:
     idle: bool
     missing: str
     off: Array  # columns by which x̂(0) of the run may be off, (n, q), as it is made of what is measured
+    begun: Array | None  # where the run is as its first input acts, where that is late and known, (order, k)
 
     @classmethod
     def of(cls, controller: ProvedController, asked: Asked) -> Iterator["_Search"]:
@@ -157,10 +159,11 @@ class _Search:
                 continue
             taken, idle, missing, changes = np.full(1, np.inf), False, _beyond(controller, room), asked.changes
             X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
-            X = X if asked.measured is None else asked.measured
+            X, begun = X if asked.measured is None else asked.measured, None
             for bounds in controller.claims_of(SampledBounds) if not missing else ():
                 taken, changed = bounds.taken(inputs, drives(bounds.errors, inputs))
                 idle, X, changes = bounds.idle, X * bounds.noise, None if changes is None else changes - changed
+                begun = bounds.begun
             if not missing and not np.isfinite(taken).all():
                 missing = "no bound is proved of what acts"
             elif not missing:
@@ -168,7 +171,16 @@ class _Search:
                 missing = "what acts takes all that is left of the limits" * (room.spare is None)
             if not missing and changes is not None and not (changes > 0).all():
                 missing = "what acts, or how x_d begins, takes all that an input may change by"
-            yield cls(controller=controller, loop=loop, room=room, changes=changes, idle=idle, missing=missing, off=X)
+            yield cls(
+                controller=controller,
+                loop=loop,
+                room=room,
+                changes=changes,
+                idle=idle,
+                missing=missing,
+                off=X,
+                begun=begun,
+            )
 
     def told(self, found: tuple[StartGuarantee, ...]) -> SampledRegion:
         """Return the claim."""
@@ -192,6 +204,13 @@ class _Search:
         n, m, N, *_ = self.errors.widths
         return [*range(n), *range(n + m, n + m + N)]
 
+    def as_newest(self, before: Array) -> Array:
+        """Return the rows of starts that are e and the newest (Δ, σ), or another where that one is 0, (n + N, k)."""
+        (n, m, N, *_), found, d = self.errors.widths, before[self.own], self.errors.predicted
+        idle = ~found.any(axis=0)
+        found[n:, idle] = before[n + m : n + m + d * N, idle].reshape(d, N, -1).sum(axis=0)
+        return found
+
     @cached_property
     def loops(self) -> Loops:
         """The loops in continuous time, which know where loads act."""
@@ -201,10 +220,12 @@ class _Search:
     def starts(self) -> list[Starts]:
         """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0).
 
-        Where inputs are late what errors are as the first one acts is known of none but x̂ = x, predicted as it is.
+        Where inputs are late what errors are as the first one acts is known of x̂ = x, predicted so, and of the run.
         """
         if self.loop.gains.delay:
-            return [one for one in self.room.starts if one.kind == "exact"]
+            run = [] if self.begun is None else [one for one in self.room.starts if one.kind == "run"]
+            late = [replace(one, z=self.begun) for one in run]
+            return [*(one for one in self.room.starts if one.kind == "exact"), *late]
         own, loads = ("exact", "sizes", "members"), self.loops.N - self.loops.n
         return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
 
@@ -281,7 +302,7 @@ class _Search:
         """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""
         left, (_, m, N, *_), gains, inputs = self.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
         assert left is not None
-        G, room = self.errors.before(starts)[self.own], np.maximum(left[inputs], 0.0)
+        G, room = self.as_newest(self.errors.before(starts)), np.maximum(left[inputs], 0.0)
         for faster in _FASTER:
             E = self.continuous.against_windup(G, room, N, _SHARES[0][-1] * self.proof.rate, faster)
             if E is None:
@@ -305,7 +326,7 @@ class _Search:
         change = (ticks.D.floats - ticks.before.floats)[inputs:]
         for shares in _SHARES:
             rates = [share * self.proof.rate for share in shares]
-            for _, H, weights in self.continuous.sought(before[own], room[:inputs], rates):
+            for _, H, weights in self.continuous.sought(self.as_newest(before), room[:inputs], rates):
                 for much in _SLOWED if len(change) else _SLOWED[:1]:
                     held = ticks.around(before, room, np.vstack([H @ ticked, much * change]), weights)
                     tried = None if held is None else self.guarantee(starts, held)
@@ -334,9 +355,11 @@ class _Search:
         )
 
     def behind(self, entry: Any) -> list[Any]:
-        """Return the rows of starts of a certificate that are of (e, Δ, σ), or of e alone where the others are 0."""
+        """Return the rows of starts of a certificate that they are told by: (e, Δ, σ), e alone, or all of z."""
         (n, m, N, *_), rows = self.errors.widths, list(entry["starts"])
         own = next((one for one in self.starts if one.kind == entry["of"]), None)
+        if own is not None and own.z is not None:
+            return rows
         return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
 
 

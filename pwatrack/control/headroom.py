@@ -84,12 +84,15 @@ class Starts:
         delta: Rows of G for Δ, (n, k), or None for Δ = 0.
         load: Rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their
             sign, (p, k). None where Δ = 0: then no load acts.
+        z: Rows of G for all errors of a sampled loop whose inputs are late, as the first one acts, (order, k), with
+            what the run makes of the others till then; None where they act at once.
     """
 
     kind: Literal["exact", "sizes", "run", "ensemble", "members", "every"]
     e: Array
     delta: Array | None = None
     load: Array | None = None
+    z: Array | None = None
 
     @property
     def G(self) -> Array:

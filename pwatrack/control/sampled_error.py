@@ -139,7 +139,12 @@ class SampledErrors:
         return () if self.estimates is None else (self.estimates.order, self.estimates.eta)
 
     def before(self, starts: Starts) -> Array:
-        """Return G of z before the first tick, (order, k), of errors from an x_d without loads on."""
+        """Return G of z before the first tick, (order, k), of errors from an x_d without loads on.
+
+        Where inputs are late it is that before the tick at which the first one acts.
+        """
+        if starts.z is not None:
+            return starts.z
         (n, m, *_), k = self.widths, starts.e.shape[1]
         delta, load = (np.zeros((0, k)) if X is None else X for X in (starts.delta, starts.load))
         e = starts.e if self.estimates is None or not len(load) else starts.e + self.estimates.X.floats @ load

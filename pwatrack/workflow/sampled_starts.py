@@ -55,7 +55,7 @@ def _with_gain_against_windup(
     The same where none has more of them to speak of.
     """
     best, least = None, share * _MORE
-    for gains, more in against_windup(controller, asked, _wanted(controller.claim(SampledRegion))):
+    for gains, more in against_windup(controller, asked, _wanted(controller)):
         if more > least:
             best, least = gains, more
         if least >= 1:
@@ -114,13 +114,16 @@ def _share(controller: ProvedController) -> float | None:
             return None
         if region.from_this_start(controller) or any(one.starts.kind == "every" for one in region.found):
             return 1.0
-        wanted = _wanted(region)
+        wanted = _wanted(controller)
         scales = [one.scale(left) for one in region.found if one.starts.kind == wanted]
         return max(scales, default=0.0)
     return None
 
 
-def _wanted(region: SampledRegion) -> str:
-    """Return which starts count: where inputs are late none but x̂ = x is known as the first one acts."""
-    kinds = {one.kind for one in region.room.starts} if not region.late else ()
-    return next((kind for kind in ("ensemble", "run") if kind in kinds), "exact")
+def _wanted(controller: ProvedController) -> str:
+    """Return which starts count: where inputs are late that of the run, if it is known as the first one acts."""
+    region, kinds = controller.claim(SampledRegion), ["ensemble", "run"]
+    if region.late:
+        kinds = ["run"] * any(bounds.begun is not None for bounds in controller.claims_of(SampledBounds))
+    known = {one.kind for one in region.room.starts}
+    return next((kind for kind in kinds if kind in known), "exact")

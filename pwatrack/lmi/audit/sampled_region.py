@@ -65,8 +65,8 @@ def wrong(errors: AuditedErrors, entry: Any) -> list[str]:
 def around(errors: AuditedErrors, entry: Any, P: Any) -> list[str]:
     """Return what is wrong with starts that are to be inside, z before a tick with nu = 0 and rho = 0."""
     (G, weights), n, m, N = starts_of(entry, errors.order, 1), errors.n, errors.m, errors.N
-    if any(map(any, G[n : n + m])) or any(map(any, G[n + m + N :])):
-        raise AuditFault("a start of the sampled loop has an input that is held, or a prediction")
+    if any(map(any, G[n : n + m])) or any(map(any, G[n + m + errors.predicted * N :])):
+        raise AuditFault("a start of the sampled loop has an input that is held, or what a substep moves")
     return held(P, G, weights)
 
 
