@@ -164,6 +164,49 @@ def of_loads(spec: Spec, controller: ProvedController, t: float) -> Array:
     return np.zeros(0) if loads is None or disturbance is None else np.linalg.pinv(loads.E.floats) @ disturbance(t)
 
 
+WAITING = """
+name: a tank with one cell
+system: {states: [x], inputs: [u], outputs: [y], B: [[1]], C: [[1]], cells: [{name: all, A: [[-1]]}]}
+design: {observer: {rate: 6}, estimate: {d: {into: {x: 1}}}}
+reference: {output: {constant: 0}}
+simulation: {duration: 6, sample_time: 0.01, controller: {sample_time: 0.1, delay: 1}, MORE}
+"""
+WAITED = {
+    "the load is known at once": "disturbance: {x: {constant: 10}}, initial: {plant: [-1.05], observer: [-3.2588]}",
+    "x̂ is far off": "initial: {plant: [0], observer: [5]}",
+    "what acts is over": "disturbance: {x: {constant: 5, step: {size: -5, at: 0.1}}}, initial: {observer: [0]}",
+}
+
+
+@pytest.mark.parametrize("how", WAITED)
+def test_what_the_program_has_as_inputs_wait_is_in_its_ranges(how: str, tmp_path: Path) -> None:
+    """What it starts with, x̂ as it is predicted and as it is corrected, and no input."""
+    (tmp_path / "plant.yaml").write_text(WAITING.replace("MORE", WAITED[how]), encoding="utf-8")
+    spec = load_spec(tmp_path / "plant.yaml")
+    controller = design(spec)
+    run = simulate(spec, controller)
+    ranges = controller.claim(ProgramRanges).ranges
+    assert ranges["u"][0, 0] <= 0 <= ranges["u"][0, 1]
+    assert ranges["s_hat"][0, 0] <= 0 <= ranges["s_hat"][0, 1]
+    for at in (controller_start(spec, 1), *run.response.x_hat):
+        assert (ranges["x_hat"][:, 0] <= at + 1e-9).all()
+        assert (at - 1e-9 <= ranges["x_hat"][:, 1]).all()
+    bounds = controller.claim(SampledBounds)
+    most = bounds.from_start["output", 0]
+    step = bounds.errors.gains.sample_time / bounds.errors.gains.substeps
+    at = np.minimum((run.response.t / step + 1e-9).astype(int), len(most) - 1)
+    assert (np.abs(run.response.tracking_error[:, 0]) <= most[at] * (1 + 1e-9) + 1e-12).all()
+    said = " ".join(text for _, text in bounds.rows(spec.words, controller))
+    assert "from the start of this run on never more than" in said
+
+
+def test_a_stiff_plant_has_a_start_too(tmp_path: Path) -> None:
+    text = WAITING.replace("A: [[-1]]", "A: [[-10000]]").replace("B: [[1]]", "B: [[10000]]")
+    text = text.replace("design: {observer: {rate: 6}, estimate: {d: {into: {x: 1}}}}\n", "")
+    (tmp_path / "plant.yaml").write_text(text.replace("MORE", "initial: {plant: [1]}"), encoding="utf-8")
+    assert design(load_spec(tmp_path / "plant.yaml")).claim(SampledBounds).acts.late is not None
+
+
 def test_what_is_off_is_at_least_what_the_bounds_of_signals_say(machine: tuple[Spec, ProvedController, Path]) -> None:
     _, controller, _ = machine
     bounds = controller.claim(ProgramRanges).bounds

@@ -10,7 +10,7 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array, up
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row
-from pwatrack.control.sampled_disturbances import numbers
+from pwatrack.control.sampled_disturbances import joined, numbers
 from pwatrack.control.words import Words, down
 
 _ROUNDED = 1e-11  # of a number: what a program that steps them for long rounds
@@ -45,11 +45,13 @@ class ProgramRanges(Claim):
         of, squares, along = numbers(self.bounds.errors), self.bounds.acts.squares, self.bounds.acts.along
         other = np.sqrt([squares.get(("cell", k), np.zeros(1)).max() for k in range(len(self.steps))])
         beside = {"y": self.bounds.noise, "u": self.steps + other, "u_ff": other}
-        found = dict[str, Array]()
+        found, late = dict[str, Array](), self.bounds.acts.late
+        before = {} if late is None else late.along
         for name, ends in along.items():
             off = sum((self._off(rows) for rows in of.get(name, ())), beside.get(name, 0.0)) * OVER_SUMS
             each = off + _ROUNDED * np.abs(ends).max(axis=1)
             found[name] = ends + np.multiply.outer(each, [-1, 1])
+            found[name] = joined(found[name], before.get(name, found[name]))
         return found
 
     def _off(self, rows: Array) -> Array:

@@ -82,7 +82,8 @@ class TubeBounds(Claim):
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
             few = replace(acts, means={})  # of each channel but the tube that is needed
-            ways = product((acts, few), (replace(errors, few=_CORNERS), errors))
+            last = replace(few, squares={one: each for one, each in acts.squares.items() if one[0] != "start"})
+            ways = product((acts, few, last), (replace(errors, few=_CORNERS), errors))
             affordable = (way for way in ways if len([*way[0].squares, *way[0].means]) * work(way[1]) <= _MOST)
             for each, opened in islice(affordable, 1):
                 found = replace(found, tubes=TubeSearch.of(controller, found.forms, opened, proof).tubes(each))
@@ -344,8 +345,9 @@ class SampledBounds(TubeBounds):
         "signal: of a disturbance of a state equation, of what is merged, as under practical, of what is measured off "
         "at ticks, of the steps of u and of what a program in another cell puts out, beside nu, and makes of eta_hat, "
         "at ticks, of what a load steps by just before a tick, which s_hat - s loses, as x - x_d does what x_d moves "
-        "by, of a start, what it tells of z before the first tick, of what drives x - x_d alone as x_d moves in a "
-        "sample, of what R x_nom moves in a substep, beside every rho, and of R (x_nom - x_d), which acts by F less F "
+        "by, of a start, what it tells of z before the first tick, or that of the first late input, of what drives x - "
+        "x_d alone as x_d moves in a sample, of what R x_nom moves in a substep, beside every rho, and of R (x_nom - "
+        "x_d), which acts by F less F "
         "of the mean of the A_i that have all others in their hull; where x_d depends on loads, eta_hat is held "
         "against that of the program with the true ones. x_nom is x in the loop of that mean, from x_d on, without "
         "noise, and z here is less what it is there. With Q linear in time between the knots of each substep, q V of "
@@ -377,13 +379,15 @@ class SampledBounds(TubeBounds):
         acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for name, size, unit in each)
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
         off = words.as_designed + words.off_limits
+        most = self.from_start or self.from_zero
+        always = words.limits(shown({form: float(each.max()) for form, each in most.items()}))
+        begins = "from the start of this run on" if self.from_start else "from x = x̂ = x_d on"
         if self.idle:
-            said = "nothing acts on the sampled loop: its errors go to 0, but for rounding"
-            yield "in this run", said + off
+            late = " from its first input on" * bool(self.errors.gains.delay)
+            yield "in this run", f"nothing acts on the sampled loop{late}: its errors go to 0, but for rounding{off}"
+            if late and self.from_start:
+                yield "", f"{begins} never more than {', '.join(always)}"
         elif ends:
-            most = self.from_start or self.from_zero
-            always = words.limits(shown({form: float(each.max()) for form, each in most.items()}))
-            begins = "from the start of this run on" if self.from_start else "from x = x̂ = x_d on"
             said = f"{ends} in the end in the sampled loop, for any switching, between ticks too"
             yield "in this run", f"{said}, beside what is left of the start{off}"
             if self.from_start or not self.errors.gains.delay:

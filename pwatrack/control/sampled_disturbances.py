@@ -17,7 +17,7 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("drawn", k)         d in e_k' alone, so that ρ' has R ε_k d
     ("cell", k)          d on the k-th input as it is put out, as ("input", k) is
     ("eta", k)           d on the k-th entry of δ at a tick
-    ("start", k)         d times what z may be before the first tick of a run
+    ("start", k)         d times what z may be before the first tick of a run, or before that of its first late input
     ("load", k)          d on the k-th entry of s just before a tick: (e, σ_i) − (X ε_k, ε_k) d, then the tick
     ("rounding", 0)      what rounding adds, as far as V^½ = 1 of each of its tubes: see `export.rounding`
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
@@ -61,8 +61,8 @@ class LateStart:
         z: Without noise, (order,).
         off: How far z is from that at most, beside what noise adds, (order,).
         beside: How large signals are at most in each substep before, likewise.
-        along: Between what numbers of the program are there, (k, 2) each, likewise.
-        clear: How many sizes (x̂, ŝ) may be off more in each sample, and is in the same cells.
+        along: Between what numbers of the program are there, with what noise adds, (k, 2) each.
+        clear: How many sizes (x̂, ŝ) may be off more in each substep, and is in the same cells.
     """
 
     z: Array
@@ -114,8 +114,7 @@ class Acting:
             for sizes in (self.squares, self.means)
         )
         squares = {channel: each for channel, each in squares.items() if each.any()}
-        along = {name: joined(ends, late.along.get(name, ends)) for name, ends in self.along.items()}
-        return replace(self, squares=squares, means=means, along=along, late=late)
+        return replace(self, squares=squares, means=means, late=late)
 
     def noise(self, outputs: int) -> Array:
         """Return how much is measured off at most at any tick, of so many outputs."""

@@ -77,8 +77,8 @@ class SampledErrors:
         deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
             at most.
         estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
-        starts: Columns z, (order, 1), of which what z is before the first tick of a run is a mean, of any sign; None
-            where that is not known.
+        starts: Columns z, (order, 1), of which what z is before the first tick of a run, or before that at which its
+            first late input acts, is a mean, of any sign; None where that is not known.
         corners: Matrices of plants that may run in place of it, they and their means; none where it runs itself.
         sizes: Of the signals of the plant, in which forms are looked for; None where those of no file are known.
         few: Corners of boxes of flows, up to which each is looked at: what is found is a little better then.

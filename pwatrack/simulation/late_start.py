@@ -19,7 +19,7 @@ from pwatrack.arrays import OVER_SUMS, Array, IntArray
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import program
-from pwatrack.control.sampled_disturbances import LateStart
+from pwatrack.control.sampled_disturbances import LateStart, joined
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.errors import CheckFailed
 from pwatrack.model.conditions import Conditions, Sampling
@@ -57,7 +57,8 @@ def late_start(
     if errors.gains.jitter:
         return None
     try:
-        return _Waiting(controller, conditions, errors, start).found(off, noise)
+        with np.errstate(all="ignore"):  # what is out of range is not found
+            return _Waiting(controller, conditions, errors, start).found(off, noise)
     except CheckFailed:
         return None
 
@@ -183,7 +184,7 @@ class _Waiting:
         ends[0] *= -1
         first = ends.shape[2] - d * N
         c, tracked = ends[:, :, first:].reshape(2, K, d, N), first - len(noise) - n - m
-        between, last, clear = self._off(c, off, noise)
+        between, kept, last, clear = self._off(c, off, noise)
         if not np.isfinite(between).all():
             return None
         most, kind = np.abs(ends[:, :, : tracked + m + n]).max(axis=0), self._controller.tracking
@@ -191,8 +192,13 @@ class _Waiting:
         forms: list[Form] = [*((kind, k) for k in range(tracked)), *(("input", k) for k in range(m))]
         forms += [("estimate", k) for k in range(n)]
         made = np.arange(d) <= np.arange(K)[:, None] // self._parts  # a prediction that there is
-        seen = _hull(np.stack([c[0] - between, c[1] + between])[:, made])
-        along = {"x_hat": seen[:n], "y": _hull(ends[:, :, first - len(noise) : first])}
+        y, start = slice(first - len(noise), first), np.pad(off, (0, N - n))
+        seen = joined(
+            _hull(np.stack([c[0] - kept, c[1] + kept])[:, made]),
+            np.column_stack([self._x_hat - start, self._x_hat + start]),
+        )
+        measured = _hull(np.stack([ends[0, :, y] - noise, ends[1, :, y] + noise]))
+        along = {"x_hat": seen[:n], "y": measured, "u": np.zeros((m, 2))}
         return LateStart(
             z=self._z,
             off=np.concatenate([np.zeros(n + m), last.ravel(), np.zeros(self._errors.order - n - m - d * N)]),
@@ -214,30 +220,34 @@ class _Waiting:
             z[-len(own) :] = own - Held(self._runs, self._eta, self._loads).take(d + 1).eta_hat[d]
         return z
 
-    def _off(self, c: Array, off: Array, noise: Array) -> tuple[Array, Array, float]:
-        """Return how large ε is in each substep, (K, d, N), and in the end, (d, N); c is between its ends, (2, …).
+    def _off(self, c: Array, off: Array, noise: Array) -> tuple[Array, Array, Array, float]:
+        """Return how large ε is in each substep, (K, d, N); c is between its ends, (2, …).
 
-        Then how many sizes may be added at each tick, to what is predicted, and no other cell is met.
+        Then how far all predictions are off c as they begin and end, likewise; ε in the end, (d, N); and how many sizes
+        more they may be off in each substep, and no other cell is met.
         """
         (K, d, N), runs, laws, sizes = self._c.shape, self._runs, self._laws, self._controller.sizes
-        keeps, between, clear = np.abs(np.eye(N) + runs.M @ runs.C), np.zeros((K, d, N)), np.inf
+        keeps, (between, kept), clear = np.abs(np.eye(N) + runs.M @ runs.C), np.zeros((2, K, d, N)), np.inf
         r, more, added = np.zeros((3, d, N))  # ε, what noise adds, and what a size more at each tick does
         r[:, : self._n] = off
         for j in range(K):
             if j % self._parts == 0:
                 r = np.vstack([keeps @ r[0], r[:-1]])
                 more = np.vstack([keeps @ more[0] + np.abs(runs.M) @ noise, more[:-1]])
-                added = np.vstack([keeps @ added[0], added[:-1]]) + np.concatenate([sizes.state, sizes.load])
+                added = np.vstack([keeps @ added[0], added[:-1]])
+            added, kept[j] = added + np.concatenate([sizes.state, sizes.load]), r + more
             for i, here in enumerate(self._cells[j]):
                 reached = self._reached(self._c[j, i], r[i] + more[i], added[i])
                 met = laws[[here, *(k for k in np.flatnonzero(reached <= 0).tolist() if k != here)]]
                 clear = min(clear, float(reached[reached > 0].min(initial=np.inf)))
-                grown = expm(np.abs(met[:, :N, :N]).max(axis=0) * self._step)
                 turn = np.max([np.abs(expm(F[:N, :N] * self._step)) for F in met], axis=0)
                 driven = self._step * _most((met - laws[here])[:, :N], c[:, j, i])
-                between[j, i], r[i] = grown @ (r[i] + driven), turn @ r[i] + grown @ driven
+                if r[i].any() or driven.any():
+                    grown = expm(np.abs(met[:, :N, :N]).max(axis=0) * self._step)
+                    between[j, i], r[i] = grown @ (r[i] + driven), turn @ r[i] + grown @ driven
                 more[i], added[i] = turn @ more[i], turn @ added[i]
-        return between * OVER_SUMS, r * OVER_SUMS, clear
+            kept[j] = np.maximum(kept[j], r + more)
+        return between * OVER_SUMS, kept * OVER_SUMS, r * OVER_SUMS, clear
 
     def _reached(self, c: Array, off: Array, added: Array) -> Array:
         """Return how often `added` beside what is so far from c may be till a cell is reached, (l,); 0 where it is."""

@@ -15,6 +15,7 @@ from scipy.linalg import block_diag, expm
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.sampled_disturbances import ROUNDING
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.model.conditions import Conditions
@@ -67,7 +68,9 @@ class LoadsAlong:
             before, s, last = expm(S * (t - last)) @ s, _loads_of(loads, disturbance, w), t
             tick = ceil((t + gains.jitter / 2) / h - _ON_TICK)  # by then it has stepped, if that is late or not
             steps[tick] = steps.get(tick, 0.0) + expm(S * (tick * h - t)) @ (s - before)
-        found = replace(none, start=start, steps={tick: step for tick, step in steps.items() if step.any()})
+        sizes = np.max([np.abs(s), *(np.abs(step) for step in steps.values())], axis=0)
+        whole = {tick: np.where(np.abs(step) > ROUNDING * sizes, step, 0.0) for tick, step in steps.items()}
+        found = replace(none, start=start, steps={tick: step for tick, step in whole.items() if step.any()})
         seen = np.zeros((len(disturbance.Q), len(S)))
         seen[:, list(loads.where)] = loads.E.floats[:, loads.where]
         return replace(found, rest=replace(found.behind(disturbance), Q=np.hstack([disturbance.Q, -seen])))
