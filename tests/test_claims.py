@@ -52,7 +52,14 @@ EXTRA = {
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
-WHOLE = {  # plants of one cell whose feedforward takes a limit whole
+WHOLE = {  # plants of one cell: what acts is over before the first input acts; feedforwards that take a limit whole
+    "waiting": """
+system: {states: [x], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}
+reference: {output: {constant: 0}}
+simulation:
+  {duration: 4, sample_time: 0.01, controller: {sample_time: 0.1, delay: 2},
+   disturbance: {x: {constant: 5, step: {size: -5, at: 0.15}}}}
+""",
     "single": """
 system: {states: [z, v], inputs: [u], outputs: [y], A: [[0, 1], [-1, -1]], B: [[0], [1]], C: [[1, 0]]}
 design: {tracking: state, observer: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}}

@@ -21,6 +21,7 @@ from typing import Any
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.work import Ended, Job, Work, inputs, refused
 from pwatrack.errors import InvalidSpec
+from pwatrack.interruption import uninterrupted
 from pwatrack.remote_files import Found, attempt, carried
 from pwatrack.report.run_folder import Left, left_elsewhere, read_index
 from pwatrack.spec.load import file_content, referenced_files
@@ -126,7 +127,8 @@ class Cluster(Executor):
         content = bytes(ForkingPickler.dumps((fn, args, kwargs)))
         with self._lock:
             self._futures.add(future)
-        sent = self._executor.submit(work, content, self._settings, versions())
+        with uninterrupted():  # a future of dask that is half made says so as it is thrown away
+            sent = self._executor.submit(work, content, self._settings, versions())
 
         def ended(_: object) -> None:
             with self._lock:
