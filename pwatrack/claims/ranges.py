@@ -88,9 +88,7 @@ class ProgramRanges(Claim):
                 shown = {"y": f"{name} as measured", "u": name, "s_hat": f"estimate of {name}"}.get(kind, f"{name}_hat")
                 ends = f"{down(low)} to {up(high)} {unit}".rstrip()
                 said.append(f"{shown} {ends}")
-        begins = "its start" if self.bounds.errors.starts is not None else "x = x̂ = x_d"
-        begins += " as the first input acts" * (
-            self.bounds.errors.gains.delay > 0 and self.bounds.errors.starts is None
-        )
+        begins = "x = x̂ = x_d" + " as the first input acts" * (self.bounds.errors.gains.delay > 0)
+        begins = "its start" if self.bounds.errors.starts is not None else begins
         of = f"in the program, in this run from {begins} on{words.as_designed}{words.off_limits}"
         yield "numbers", f"{of}: {'; '.join(said)}"

@@ -82,6 +82,7 @@ class TubeBounds(Claim):
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
             few = replace(acts, means={})  # of each channel but the tube that is needed
+            # and where that is too much without the start, from which nothing is said then
             last = replace(few, squares={one: each for one, each in acts.squares.items() if one[0] != "start"})
             ways = product((acts, few, last), (replace(errors, few=_CORNERS), errors))
             affordable = (way for way in ways if len([*way[0].squares, *way[0].means]) * work(way[1]) <= _MOST)

@@ -11,6 +11,7 @@ so |ε| ≤ e^(|A_a| τ) (|ε(0)| + τ sup |g|) all along a substep τ, and 0 wh
 """
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -128,7 +129,7 @@ class _Waiting:
             v = np.einsum("dNk,dk->dN", runs.observer[where[-1]], known)
         return np.array(found), np.array(where), v
 
-    @property
+    @cached_property
     def _laws(self) -> Array:
         """F of (x̃, s̃, 1) in each cell of the program, without input."""
         plant = self._controller.plant
@@ -178,10 +179,10 @@ class _Waiting:
         (K, d, N), (n, m) = self._c.shape, self._controller.plant.B.shape
         at, segments = self._segments()
         each = spans(segments, self._rows)
-        ends = np.full((2, K, each.low.shape[1]), -np.inf)  # of what is below, and above
-        for end, values in zip(ends, (-each.low, each.high), strict=True):
-            np.maximum.at(end, at, values)
-        ends[0] *= -1
+        low, high = (np.full((K, each.low.shape[1]), end) for end in (np.inf, -np.inf))
+        np.minimum.at(low, at, each.low)
+        np.maximum.at(high, at, each.high)
+        ends = np.stack([low, high])
         first = ends.shape[2] - d * N
         c, tracked = ends[:, :, first:].reshape(2, K, d, N), first - len(noise) - n - m
         between, kept, last, clear = self._off(c, off, noise)
@@ -238,12 +239,12 @@ class _Waiting:
             added, kept[j] = added + np.concatenate([sizes.state, sizes.load]), r + more
             for i, here in enumerate(self._cells[j]):
                 reached = self._reached(self._c[j, i], r[i] + more[i], added[i])
-                met = laws[[here, *(k for k in np.flatnonzero(reached <= 0).tolist() if k != here)]]
+                met = [here, *(k for k in np.flatnonzero(reached <= 0).tolist() if k != here)]
                 clear = min(clear, float(reached[reached > 0].min(initial=np.inf)))
-                turn = np.max([np.abs(expm(F[:N, :N] * self._step)) for F in met], axis=0)
-                driven = self._step * _most((met - laws[here])[:, :N], c[:, j, i])
+                turn = np.abs(runs.observer[met, :, -N - 1 : -1]).max(axis=0)
+                driven = self._step * _most((laws[met] - laws[here])[:, :N], c[:, j, i])
                 if r[i].any() or driven.any():
-                    grown = expm(np.abs(met[:, :N, :N]).max(axis=0) * self._step)
+                    grown = expm(np.abs(laws[met, :N, :N]).max(axis=0) * self._step)
                     between[j, i], r[i] = grown @ (r[i] + driven), turn @ r[i] + grown @ driven
                 more[i], added[i] = turn @ more[i], turn @ added[i]
             kept[j] = np.maximum(kept[j], r + more)
