@@ -23,6 +23,7 @@ from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.commands.verify import verify
 from pwatrack.errors import ExitCode, PwatrackError
 from pwatrack.report.files import write_result
+from pwatrack.workflow.tracking import check_reference
 
 PLANTS = {"two_mass_backlash": 20.0, "gallery/gear_with_backlash": 4.0, "gallery/cart_and_pole_swaying": 5.0}
 VARIED = {"two_mass_backlash": "d1", "gallery/gear_with_backlash": "d1", "gallery/cart_and_pole_swaying": "d"}
@@ -111,5 +112,6 @@ def hold(result: Result) -> None:
 
 def test_a_design_for_a_box_beside_loads_is_refused_by_both_names(specs: Path) -> None:
     spec = load_spec(crossed(specs, "two_mass_backlash", ("loads", "box")))
-    with pytest.raises(PwatrackError, match=r"uncertain parameters .* unknown loads"):
-        design(spec)
+    for refuses in (check_reference, design):
+        with pytest.raises(PwatrackError, match=r"uncertain parameters .* unknown loads"):
+            refuses(spec)

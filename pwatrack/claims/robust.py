@@ -139,6 +139,13 @@ class Robust(Claim):
         return Differences.of_corners(self.plant.exact, self.corners)
 
 
+def check_without_loads(plant: PWASystem) -> None:
+    """Refuse a plant whose loads are estimated."""
+    if plant.loads is not None:
+        message = "bounds for uncertain parameters are proved without estimates of unknown loads"
+        raise OutsideTheory(message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
+
+
 def prove_box(
     plant: PWASystem,
     design: Gains,
@@ -154,9 +161,7 @@ def prove_box(
     with the same cells; `output` says whether outputs are tracked, else states. Raises OutsideTheory if loads are
     estimated too; Undecided if there are too many inequalities, or no common P is found.
     """
-    if plant.loads is not None:
-        message = "bounds for uncertain parameters are proved without estimates of unknown loads"
-        raise OutsideTheory(message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
+    check_without_loads(plant)
     K, L = design.exact
     M = joint_matrices(plant.exact, corners, K, L)
     order = M[0].shape[0]

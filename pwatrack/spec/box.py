@@ -259,13 +259,9 @@ def _polynomials(parametric: ParametricPlant, free: Collection[str]) -> dict[str
 def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[Matrices, ...]:
     """Return the matrices of the plant at all corners of a box that they speak for.
 
-    Raises InvalidSpec for a parameter that is nowhere in the plant, OutsideTheory where the corners do not speak for
-    all of the box or hyperplanes or C are uncertain too, Undecided for too many corners.
+    Raises as `check_box`, and OutsideTheory where the plants at the corners jump at facets by rounding.
     """
-    if 2 ** len(box) > _MOST_CORNERS:
-        message = f"{len(box)} uncertain parameters have 2^{len(box)} corners, at most {_MOST_CORNERS:,} are tried"
-        raise Undecided(message, subject=SUBJECT, hint="let those that matter least be known")
-    _check_dependence(parametric, box)
+    check_box(parametric, box)
     found = []
     for ends in product(*((interval.low, interval.high) for interval in box)):
         plant, _ = parametric.at({i.name: end for i, end in zip(box, ends, strict=True)}, SUBJECT)
@@ -276,8 +272,15 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
     return tuple(plant.exact for plant in found)
 
 
-def _check_dependence(parametric: ParametricPlant, box: Box) -> None:
-    """Refuse a box whose corners do not speak for all of it."""
+def check_box(parametric: ParametricPlant, box: Box) -> None:
+    """Refuse a box whose corners do not speak for all of it, or are too many.
+
+    Raises InvalidSpec for a parameter that is nowhere in the plant, OutsideTheory where the plant is not affine in a
+    power of each, or hyperplanes or C are uncertain too, Undecided for too many corners.
+    """
+    if 2 ** len(box) > _MOST_CORNERS:
+        message = f"{len(box)} uncertain parameters have 2^{len(box)} corners, at most {_MOST_CORNERS:,} are tried"
+        raise Undecided(message, subject=SUBJECT, hint="let those that matter least be known")
     seen = Dependence(parametric, {interval.name for interval in box}).powers()
     problems, invalid = [], []
     for interval in box:

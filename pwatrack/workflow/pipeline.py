@@ -13,7 +13,6 @@ from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.demand import Demand
 from pwatrack.control.goal import Given
 from pwatrack.control.headroom import Headroom, InputConstraint, Starts
-from pwatrack.control.modes import check_loads
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.proof import prove_design
 from pwatrack.control.sampled_disturbances import Acting, LateStart
@@ -41,6 +40,7 @@ from pwatrack.workflow.simplified import may_merge, merged_spec, not_worth, prac
 from pwatrack.workflow.sizing import spec_sizes
 from pwatrack.workflow.tracking import (
     check_breaks,
+    check_unknown,
     desired_trajectory,
     generator_start,
     initial_values,
@@ -157,7 +157,7 @@ def _with_gains(
 ) -> tuple[ProvedController, Headroom | None, Demand | None]:
     """Find the gains with their proofs, and the room that limits leave, for which K is made if it is exact."""
     with spec.located():
-        check_loads(spec.problem.plant, output=spec.problem.tracking == "output")
+        check_unknown(spec)
         trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, sizes = spec.objectives, spec_sizes(spec)

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from pwatrack.arrays import Array
+from pwatrack.claims.robust import check_without_loads
 from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator, trajectory_generator
@@ -37,6 +38,7 @@ from pwatrack.simulation.desired import realised
 from pwatrack.simulation.region import BoxRegion, Region
 from pwatrack.simulation.stable_inversion import played_back
 from pwatrack.simulation.steady_state import consistent_start, from_measured
+from pwatrack.spec.box import check_box
 from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
 from pwatrack.workflow.sizing import spec_sizes
@@ -51,7 +53,7 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
     """
     problem = spec.problem
     with spec.located():
-        check_loads(problem.plant, output=problem.tracking == "output")
+        check_unknown(spec)
         if isinstance(problem.reference, OutputReference):
             form = form or spec_form(spec)
             _output_signals(problem.reference, form)
@@ -62,6 +64,15 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
         if isinstance(problem.reference, InputReference):
             return "u_ff is bounded; x_d is the response of the plant"
         return "x_d is bounded and satisfies (3)"
+
+
+def check_unknown(spec: Spec) -> None:
+    """Refuse loads and parameters that are not known, where nothing is proved of such: before anything is solved."""
+    problem, box = spec.problem, spec.objectives.uncertain
+    check_loads(problem.plant, output=problem.tracking == "output")
+    if box:
+        check_box(problem.parametric, box)
+        check_without_loads(problem.plant)
 
 
 def desired_trajectory(
