@@ -151,16 +151,21 @@ class _Search:
     begun: Array | None  # where the run is as its first input acts, where that is late and known, (order, k)
 
     @classmethod
-    def of(cls, controller: ProvedController, asked: Asked) -> Iterator["_Search"]:
-        """Yield the search where the sampled loop is proved and inputs have limits; and why nothing is tried, if so."""
+    def of(cls, controller: ProvedController, asked: Asked, *, alone: bool = False) -> Iterator["_Search"]:
+        """Yield the search where the sampled loop is proved and inputs have limits; and why nothing is tried, if so.
+
+        With `alone` as if nothing acted: then no bound of what does is needed.
+        """
         room = asked.room
         for loop in controller.claims_of(SampledLoop) if room is not None else ():
             if loop.proof is None or room is None:
                 continue
-            taken, idle, missing, changes = np.full(1, np.inf), False, _beyond(controller, room), asked.changes
+            taken, idle, missing, changes = np.full(1, np.inf), alone, _beyond(controller, room), asked.changes
+            if alone:
+                taken = np.zeros(controller.plant.B.shape[1])
             X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
             X, begun = X if asked.measured is None else asked.measured, None
-            for bounds in controller.claims_of(SampledBounds) if not missing else ():
+            for bounds in controller.claims_of(SampledBounds) if not (missing or alone) else ():
                 taken, changed = bounds.taken(inputs, drives(bounds.errors, inputs))
                 idle, X, changes = bounds.idle, X * bounds.noise, None if changes is None else changes - changed
                 begun = bounds.begun
@@ -361,6 +366,12 @@ class _Search:
         if own is not None and own.z is not None:
             return rows
         return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
+
+
+def if_alone(controller: ProvedController, asked: Asked) -> Iterator[SampledRegion]:
+    """Yield for which starts it would be proved if nothing acted: as a rule for more than with what does."""
+    for search in _Search.of(controller, asked, alone=True):
+        yield search.told(() if search.missing else tuple(search.regions()))
 
 
 def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Iterator[tuple[SampledGains, float]]:

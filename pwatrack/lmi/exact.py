@@ -18,7 +18,16 @@ from pwatrack.arrays import EPS, Array, readonly, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, absolute
 from pwatrack.lmi.inequality import Role
 from pwatrack.lmi.presolve import distinct
-from pwatrack.rational import Rational, diagonal, floats, fraction_of, identity, is_positive_definite, rational, scalar
+from pwatrack.rational import (
+    Rational,
+    floats,
+    fraction_of,
+    identity,
+    is_positive_definite,
+    number,
+    rational,
+    scalar,
+)
 
 _LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
@@ -190,11 +199,11 @@ def proved_rate(left: Sequence[Rational], P: Rational, degree: int, rate: float)
 
 def whole(X: Array | Rational, exponents: Sequence[int]) -> Whole:
     """Return the whole numbers nearest to X_jk / 2^(exponents_j + exponents_k), of the symmetric part of X (n, n)."""
-    unit = [Fraction(2) ** e for e in exponents]
     if isinstance(X, np.ndarray):
-        rows = [[Fraction(v) for v in row] for row in ((X + X.T) / 2).tolist()]
-    else:
-        rows = [[fraction_of(v) / 2 for v in row] for row in (X + X.transpose()).tolist()]
+        near = np.rint(np.ldexp((X + X.T) / 2, -np.add.outer(exponents, exponents)))
+        return tuple(tuple(map(int, row)) for row in near.tolist())
+    unit = [Fraction(2) ** e for e in exponents]
+    rows = [[fraction_of(v) / 2 for v in row] for row in (X + X.transpose()).tolist()]
     return tuple(
         tuple(round(v / (a * b)) for v, b in zip(row, unit, strict=True)) for row, a in zip(rows, unit, strict=True)
     )
@@ -215,11 +224,11 @@ def unsure(radius: Rational | None, P: Rational, unit: Sequence[Fraction]) -> Ra
     """
     if radius is None:
         return identity(P.nrows()) * 0
-    half = radius * absolute(P)
-    rows = zip((half + half.transpose()).tolist(), unit, strict=True)
-    return diagonal(
-        [sum((fraction_of(v) * one / s for v, s in zip(row, unit, strict=True)), Fraction(0)) for row, one in rows]
-    )
+    half, found = radius * absolute(P), identity(P.nrows()) * 0
+    sums = (half + half.transpose()) * rational([[1 / s] for s in unit], (len(unit), 1))
+    for j, s in enumerate(unit):
+        found[j, j] = number(s) * sums[j, 0]
+    return found
 
 
 def margin_of(slack: Sequence[Rational]) -> float:

@@ -42,12 +42,13 @@ def tube_bounds(controller: ProvedController, box: Box, conditions: Conditions) 
 def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> dict[Form, Array]:
     """Return what the proofs allow of each signal at the samples of a run, (K,); nothing where they are about another.
 
-    They are about a run with disturbances and noise, limits that no input comes to, and any plant of the box: then
+    They are about a run with disturbances and noise, limits (of rates too) that no input comes to, and any plant of the box: then
     w (K, n) is how large each entry of w is so far; or about the sampled loop with all that acts. What acts counts as
     large as it was so far, noise as it ever gets.
     """
     conditions, controller = loop.conditions, loop.controller
-    free = replace(conditions, limits=None) if not limited(loop, response) else conditions
+    off_limits = not limited(loop, response)
+    free = replace(conditions, limits=None) if off_limits else conditions
     seen = Seen(
         t=response.t,
         start=start_of_errors(loop, response),
@@ -59,7 +60,7 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     for claim in controller.claims:
         found |= claim.allows(controller, seen)
     as_it_runs = replace(seen, designed=False, w=None, sampled=True)
-    for tubes in tube_bounds(controller, box, conditions) if free.limits is None else ():
+    for tubes in tube_bounds(controller, box, conditions) if off_limits else ():
         found |= tubes.allows(controller, as_it_runs)
     return controller.with_left(found)
 

@@ -1,6 +1,6 @@
 """Gains of a sampled loop, made for the starts of a run where its errors are to settle with inputs at their limits."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -11,7 +11,7 @@ from pwatrack.claims.registry import again
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBox, SampledBoxBounds
-from pwatrack.claims.sampled_region import SampledRegion, against_windup
+from pwatrack.claims.sampled_region import SampledRegion, against_windup, if_alone
 from pwatrack.control.candidates import Candidates
 from pwatrack.control.controller import Asked, Claim, ProvedController
 from pwatrack.control.goal import AtLeast
@@ -55,7 +55,7 @@ def _with_gain_against_windup(
     The same where none has more of them to speak of.
     """
     best, least = None, share * _MORE
-    for gains, more in against_windup(controller, asked, _wanted(controller)):
+    for gains, more in against_windup(controller, asked, _wanted(controller, controller.claim(SampledRegion))):
         if more > least:
             best, least = gains, more
         if least >= 1:
@@ -84,10 +84,15 @@ def _with_another_gain(controller: ProvedController, asked: Asked, share: float)
     if within is None or not isinstance(goal, AtLeast) or asked.sampled is None or first.delay:
         return controller, share
     best, whatever = controller, goal.within == "region"
+    others = tuple(claim for claim in controller.claims if not isinstance(claim, _STARTS))
     for gains in _sought(controller, within, asked.sampled):
         if not whatever and controller.sizes.norm(gains.K) > controller.sizes.norm(first.K):
             continue
-        tried = again(controller, replace(asked, sampled=gains), _STARTS)
+        wanted = replace(asked, sampled=gains)
+        tried = again(replace(controller, claims=others), wanted, (SampledLoop,))
+        if (_share(tried, if_alone(tried, wanted)) or 0.0) < (share if whatever else 1):
+            continue  # as it would be, then, with what acts
+        tried = again(tried, wanted, _STARTS[1:])
         more = _share(tried)
         if more is not None and (more >= 1 or (whatever and more > share)):
             best, share = tried, more
@@ -106,23 +111,26 @@ def _sought(controller: ProvedController, within: InputConstraint, made: Sampled
             yield replace(made, K=found.K)
 
 
-def _share(controller: ProvedController) -> float | None:
-    """Return how much of the starts is proved: of the run or its ensemble where these are told; None without limits."""
-    for region in controller.claims_of(SampledRegion):
+def _share(controller: ProvedController, regions: Iterable[SampledRegion] | None = None) -> float | None:
+    """Return how much of the starts is proved: of the run or its ensemble where these are told; None without limits.
+
+    That is, in the regions that the controller has, or in others.
+    """
+    for region in controller.claims_of(SampledRegion) if regions is None else regions:
         left = region.left
         if left is None:
             return None
         if region.from_this_start(controller) or any(one.starts.kind == "every" for one in region.found):
             return 1.0
-        wanted = _wanted(controller)
+        wanted = _wanted(controller, region)
         scales = [one.scale(left) for one in region.found if one.starts.kind == wanted]
         return max(scales, default=0.0)
     return None
 
 
-def _wanted(controller: ProvedController) -> str:
+def _wanted(controller: ProvedController, region: SampledRegion) -> str:
     """Return which starts count: where inputs are late that of the run, if it is known as the first one acts."""
-    region, kinds = controller.claim(SampledRegion), ["ensemble", "run"]
+    kinds = ["ensemble", "run"]
     if region.late:
         kinds = ["run"] * any(bounds.begun is not None for bounds in controller.claims_of(SampledBounds))
     known = {one.kind for one in region.room.starts}
