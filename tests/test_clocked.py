@@ -16,7 +16,9 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.chain_map import Bound, ChainMap
 from pwatrack.lmi.clocked import Clocked, ClockedProof, clocked_proof, fastest, looked_for, proves
 from pwatrack.lmi.clocked_forms import best_margin
+from pwatrack.lmi.clocked_tubes import Drive, TubeProgram, contains, tube
 from pwatrack.lmi.exact import Packed
+from pwatrack.real import Real
 
 
 def scalar(a: float, g: float, h: str) -> Clocked:
@@ -228,3 +230,20 @@ def test_the_form_of_the_terms_gives_the_matrix_of_a_step() -> None:
     chain.normal(W.ravel(), H)
     assert np.tril(H) == pytest.approx(np.tril(np.einsum("ujab,jbc,vjcd,jda->uv", sides, W, sides, W)), rel=1e-12)
     assert chain.adjoint(Z.ravel()) == pytest.approx(images @ Z.ravel(), rel=1e-12)
+
+
+@pytest.mark.parametrize("summed", [False, True])
+@pytest.mark.parametrize("radius", [Fraction(0), Fraction(1, 10**17)])
+def test_what_drives_by_rounding_alone_has_a_tube_of_nothing(radius: Fraction, summed: bool) -> None:
+    """z₂ keeps d, as what moves in a substep does, and z₁ sees of it what the numbers of a file leave open."""
+    ball = Real(Fraction(0), radius)
+    system = Clocked(
+        F=[BallMatrix.of([[-2, ball], [0, ball]])], J=[BallMatrix.of([[1, 0], [0, 0]])], period=Fraction(1, 10)
+    )
+    held, between, rows = (BallMatrix.of(X) for X in ([[0], [1]], [[0], [0]], [[1, 0], [0, 1]]))
+    program = TubeProgram(system=system, near=np.eye(2), knots=1)
+    found = tube(program, Drive(held=held, between=between), rows, np.ones(2), 1.0, summed=summed)
+    assert found is not None
+    assert max(found.sizes) < 1e-7
+    drive = Drive(held=BallMatrix.of([[0], [0]]), between=BallMatrix.of([[1e-6], [0]]))
+    assert not contains(system, drive, found.Q, found.T, found.a, found.b, summed=summed)

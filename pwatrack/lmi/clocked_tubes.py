@@ -22,7 +22,7 @@ as e^(−a t / 2), or the sum of |d| with weights that fall by (1 − b)^½.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
@@ -41,6 +41,7 @@ from pwatrack.rational import Rational, floats, fraction_of, is_positive_definit
 _BITS = (40, 80)  # of the entries of Q_k
 _GAP = 1e-3  # share of the cost that may be missed
 _WORST = 8  # boxes that are added at each end of a segment where some are not satisfied
+_NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as good as nothing
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
 
@@ -69,7 +70,7 @@ class TubeProgram:
             slack: Share of the size of what drives by which inequalities are to hold.
             summed: Whether d is.
         """
-        L, system = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system
+        L, system, drive = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system, self._felt(drive)
         inside, back, eye = self.clock.inside(L, a / 2), np.linalg.inv(L), np.eye(len(L))
         ticks = [np.zeros(len(L))] * len(inside.J) if drive.ticks is None else [X.floats[:, 0] for X in drive.ticks]
         holding = L @ np.array([g.floats[:, 0] for g in drive.held_by(system)]).T
@@ -108,6 +109,13 @@ class TubeProgram:
             return None
         Q, T = found
         return [size * back @ Q_k @ back.T for Q_k in Q], size * T / self.clock.longer(L) ** 2
+
+    def _felt(self, drive: "Drive") -> "Drive":
+        """Return what drives, or a little of it where balls alone do, or nothing: then a tube is sought for that."""
+        if drive.ticks is not None or any(g.floats.any() for g in drive.held_by(self.system)):
+            return drive
+        little = BallMatrix.of(_NOTHING * self.most * drive.held.floats)
+        return replace(drive, held=BallMatrix.of(0 * drive.held.floats), between=little)
 
     @cached_property
     def clock(self) -> ClockedForms:
