@@ -5,7 +5,7 @@ gain against windup makes of them: see `lmi.clocked_region`. What acts in the ru
 beside the feedforward, in the loop without limits, is taken off what the feedforward leaves of them.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -289,15 +289,15 @@ class _Search:
             inners=[Inner(Q=Q, most=2 * self.proof.rate)],
         )
 
-    def regions(self) -> Iterator[StartGuarantee]:
-        """Yield what is proved: of every start, or of multiples of those that are given."""
+    def regions(self, kinds: Collection[str] = ()) -> Iterator[StartGuarantee]:
+        """Yield what is proved: of every start, or of multiples of those that are given, or of some kinds of them."""
         off = taken_off(self.controller.compensation, self.loops.at_inputs)
         free = (self.loops.n == self.loops.N or off) and not self.ticks.before.floats.any()
         held = self.ticks.everywhere() if free else None
         if held is not None:
             yield self.guarantee(self.every, held)
             return
-        for one in self.starts:
+        for one in (one for one in self.starts if not kinds or one.kind in kinds):
             if one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off):
                 best = self._largest(one)
                 if best is not None:
@@ -368,10 +368,10 @@ class _Search:
         return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
 
 
-def if_alone(controller: ProvedController, asked: Asked) -> Iterator[SampledRegion]:
-    """Yield for which starts it would be proved if nothing acted: as a rule for more than with what does."""
+def if_alone(controller: ProvedController, asked: Asked, kinds: Collection[str]) -> Iterator[SampledRegion]:
+    """Yield for which starts of some kinds it would be proved if nothing acted: as a rule for more than with that."""
     for search in _Search.of(controller, asked, alone=True):
-        yield search.told(() if search.missing else tuple(search.regions()))
+        yield search.told(() if search.missing else tuple(search.regions(kinds)))
 
 
 def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Iterator[tuple[SampledGains, float]]:

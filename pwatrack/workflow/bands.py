@@ -42,9 +42,9 @@ def tube_bounds(controller: ProvedController, box: Box, conditions: Conditions) 
 def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> dict[Form, Array]:
     """Return what the proofs allow of each signal at the samples of a run, (K,); nothing where they are about another.
 
-    They are about a run with disturbances and noise, limits (of rates too) that no input comes to, and any plant of the box: then
-    w (K, n) is how large each entry of w is so far; or about the sampled loop with all that acts. What acts counts as
-    large as it was so far, noise as it ever gets.
+    They are about a run with disturbances and noise, limits (of rates too) that no input comes to, and any plant of
+    the box: then w (K, n) is how large each entry of w is so far; or about the sampled loop with all that acts. What
+    acts counts as large as it was so far, noise as it ever gets.
     """
     conditions, controller = loop.conditions, loop.controller
     off_limits = not limited(loop, response)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from pwatrack.lmi.inequality import CONTROLLER
 
 _OVER = (8.0, 4.0, 2.0)  # times what is left of an input: what a gain may ask of it from the starts
 _MOST = 50_000  # what one of them may take to be proved: 15 s
+_HOPELESS = 0.05  # of the starts
 _MORE = 1.02  # times the starts, from which on a gain against windup is worth it
 _STARTS = (SampledLoop, SampledBounds, SampledRegion)  # what has to be proved, to know the starts
 _OTHERS = (ProgramRanges, SampledBox, SampledBoxBounds)  # what else is about the program
@@ -84,29 +84,38 @@ def _with_another_gain(controller: ProvedController, asked: Asked, share: float)
     if within is None or not isinstance(goal, AtLeast) or asked.sampled is None or first.delay:
         return controller, share
     best, whatever = controller, goal.within == "region"
-    others = tuple(claim for claim in controller.claims if not isinstance(claim, _STARTS))
-    for gains in _sought(controller, within, asked.sampled):
-        if not whatever and controller.sizes.norm(gains.K) > controller.sizes.norm(first.K):
-            continue
-        wanted = replace(asked, sampled=gains)
-        tried = again(replace(controller, claims=others), wanted, (SampledLoop,))
-        if (_share(tried, if_alone(tried, wanted)) or 0.0) < (share if whatever else 1):
-            continue  # as it would be, then, with what acts
-        tried = again(tried, wanted, _STARTS[1:])
-        more = _share(tried)
-        if more is not None and (more >= 1 or (whatever and more > share)):
-            best, share = tried, more
-        if share >= 1:
-            break
+    kinds = ("run", _wanted(controller, controller.claim(SampledRegion)))
+    for starts in reversed(within.starts):
+        for gains in _sought(controller, replace(within, starts=[starts]), asked.sampled):
+            if not whatever and controller.sizes.norm(gains.K) > controller.sizes.norm(first.K):
+                continue
+            wanted = replace(asked, sampled=gains)
+            tried = again(replace(controller, claims=_others(controller)), wanted, (SampledLoop,))
+            alone = _share(tried, if_alone(tried, wanted, kinds)) or 0.0
+            if alone < _HOPELESS and not whatever:
+                break  # a smaller one has not so many times more
+            if alone < (share if whatever else 1):
+                continue
+            tried = again(tried, wanted, _STARTS[1:])
+            more = _share(tried)
+            if more is not None and (more >= 1 or (whatever and more > share)):
+                best, share = tried, more
+            if share >= 1:
+                return again(best, asked, _OTHERS), share
     return best if best is controller else again(best, asked, _OTHERS), share
 
 
+def _others(controller: ProvedController) -> tuple[Claim, ...]:
+    """Return the claims that are not about the program."""
+    return tuple(claim for claim in controller.claims if not isinstance(claim, (*_STARTS, *_OTHERS)))
+
+
 def _sought(controller: ProvedController, within: InputConstraint, made: SampledGains) -> Iterator[SampledGains]:
-    """Yield gains made for starts with x̂ = x: within sizes, then those of the run or of its ensemble."""
+    """Yield gains made for starts with x̂ = x, smaller and smaller ones."""
     plant, sizes = controller.plant, controller.sizes
     candidates = Candidates(Task.of(plant, CONTROLLER, sizes=sizes))
-    for starts, over in product(reversed(within.starts), _OVER):
-        found = candidates.farthest_held(replace(within, starts=[starts], over=over), made.sample_time)
+    for over in _OVER:
+        found = candidates.farthest_held(replace(within, over=over), made.sample_time)
         if found is not None and np.isfinite(found.K).all():
             yield replace(made, K=found.K)
 
