@@ -56,6 +56,14 @@ def test_no_signal_of_a_run_leaves_its_band(specs: Path, path: str) -> None:
     assert max(shares.values()) <= 1 + 1e-9
 
 
+@pytest.mark.parametrize("limit", ["rate_limit: {u: 1}", ""])
+def test_a_sampled_loop_has_bands_where_no_input_is_at_a_limit_of_any_kind(
+    specs: Path, tmp_path: Path, limit: str
+) -> None:
+    result = changed(specs, tmp_path, f"  controller: {{sample_time: 0.01}}\n  {limit}\n")
+    assert bool(result.bands) == (not limit)
+
+
 @pytest.mark.parametrize("extra", [PUSHED, NOISY, PUSHED + NOISY])
 def test_a_band_counts_what_acts_and_goes_to_the_bound_of_that(specs: Path, tmp_path: Path, extra: str) -> None:
     result = changed(specs, tmp_path, extra, simulated(specs / "two_mass_backlash.yaml").controller)
