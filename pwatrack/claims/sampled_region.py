@@ -36,6 +36,7 @@ from pwatrack.rational import floats
 
 _NOT_FOUND = "no forms were found that prove it"
 _FINER = 2  # times as many segments as the loop without limits takes
+_BETTER = 1.05  # times as much of the starts with samples of no length: from which on what falls slower is looked at
 _SLOWED = (1.0, 0.3)  # times what an input wants to change by: what it changes by at least where it may not
 _FASTER = (1.5, 5.0)  # times as fast as the loop without limits: how fast V may change with a gain against windup
 _MUCH = (1.0, 0.5)  # of it that is tried: it is sought as if samples were short
@@ -321,7 +322,7 @@ class _Search:
 
     def _largest(self, starts: Starts) -> StartGuarantee | None:
         """Return the region of the largest multiple that is proved, of a few H."""
-        left, (n, m, N, *_), ticks, best = self.left, self.errors.widths, self.ticks, None
+        left, (n, m, N, *_), ticks, best, had = self.left, self.errors.widths, self.ticks, None, 0.0
         assert left is not None
         before, own, inputs = self.errors.before(starts), self.own, len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
@@ -331,12 +332,16 @@ class _Search:
         change = (ticks.D.floats - ticks.before.floats)[inputs:]
         for shares in _SHARES:
             rates = [share * self.proof.rate for share in shares]
-            for _, H, weights in self.continuous.sought(self.as_newest(before), room[:inputs], rates):
+            for Q, H, weights in self.continuous.sought(self.as_newest(before), room[:inputs], rates):
+                sizes = np.sqrt(np.einsum("ij,jk,ik->i", H, Q, H))
+                likely = float((room[:inputs] / np.where(sizes > 0, sizes, 1e-300)).min())
+                if had <= likely < _BETTER * had:
+                    continue
                 for much in _SLOWED if len(change) else _SLOWED[:1]:
                     held = ticks.around(before, room, np.vstack([H @ ticked, much * change]), weights)
                     tried = None if held is None else self.guarantee(starts, held)
                     if tried is not None and (best is None or tried.scale(left) > best.scale(left)):
-                        best = tried
+                        best, had = tried, likely
             if best is not None:
                 break
         return best
