@@ -701,3 +701,7 @@ def test_the_band_of_a_sampled_run_is_that_of_its_tubes(tmp_path: Path) -> None:
     assert (np.abs(response.x_hat - response.x) <= np.array([bands["estimate", k] for k in range(n)]).T).all()
     assert bands["output", 0].max() > 1.5 * bands["output", 0][-1]
     assert bands["output", 0][0] >= 0.05
+    scenario = result.spec.scenario
+    finer = replace(result.spec, scenario=replace(scenario, sample_time=scenario.sample_time / 4))
+    between = simulate(finer, result.controller)  # there x̂ is what it was at the tick, and no estimate
+    assert between.bands.keys() == {form for form in bands if form[0] != "estimate"}

@@ -251,7 +251,11 @@ class TubeBounds(Claim):
         return np.asarray(total * OVER_SUMS)
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
-        """Return how large each signal of the sampled loop may be: what all leaves, and what the start does."""
+        """Return how large each signal of the sampled loop may be: what all leaves, and what the start does.
+
+        Between ticks what is bounded is what the program predicts, and x̂ is what it was at the last tick: of x̂ − x
+        nothing is returned where not all samples are at ticks.
+        """
         n, gains = len(controller.plant.B), self.errors.gains
         if gains.delay or gains.jitter or not (seen.sampled and self.anywhere):
             return {}  # what waits at the start is not seen, nor what time the program counts
@@ -262,8 +266,10 @@ class TubeBounds(Claim):
             fallen = np.exp(-one.a / 2 * seen.t + np.log1p(-one.b) / 2 * ticks)
             for form, each in zip(most, one.sizes, strict=True):
                 most[form] = np.minimum(most[form], each * size * OVER_POWERS * fallen)
-        at = np.floor(seen.t / h * gains.substeps).astype(np.int64)
-        return {form: _around(each, at) + most[form] for form, each in self.anywhere.items()}
+        at, times = np.floor(seen.t / h * gains.substeps).astype(np.int64), seen.t / h
+        ticking = (np.abs(times - np.rint(times)) <= _ROUNDED * np.maximum(times, 1.0)).all()
+        told = {form: each for form, each in self.anywhere.items() if ticking or form[0] != "estimate"}
+        return {form: _around(each, at) + most[form] for form, each in told.items()}
 
     def _firsts(self, e: Array, delta: Array) -> list[Array]:
         """Return what z may be after the tick at t = 0, (order,) each, for x less the x_d of the program."""
