@@ -358,8 +358,9 @@ class SimulatedLoop:
     @cached_property
     def bands(self) -> dict[Form, Array]:
         """What is proved of each signal at the samples that were kept, from this start and for what acts, (K,) each."""
-        if self.spool is not None and self.loop.conditions.limits is not None:
-            return {}  # whether an input came to its limit, what was kept does not tell
+        conditions = self.loop.conditions
+        if self.spool is not None and not (conditions.limits is None and conditions.rates is None):
+            return {}  # whether an input came to a limit, what was kept does not tell
         r, w = self.response, self.w
         if w is not None:
             step = self.spec.scenario.sample_time
