@@ -36,7 +36,8 @@ from pwatrack.rational import floats
 
 _NOT_FOUND = "no forms were found that prove it"
 _FINER = 2  # times as many segments as the loop without limits takes
-_BETTER = 1.05  # times as much of the starts with samples of no length: from which on what falls slower is looked at
+_BETTER = 1.05  # times as much of the starts with samples of no length: from which on what falls slower is looked at,
+# or where so much more would be all of them
 _SLOWED = (1.0, 0.3)  # times what an input wants to change by: what it changes by at least where it may not
 _FASTER = (1.5, 5.0)  # times as fast as the loop without limits: how fast V may change with a gain against windup
 _MUCH = (1.0, 0.5)  # of it that is tried: it is sought as if samples were short
@@ -335,7 +336,8 @@ class _Search:
             for Q, H, weights in self.continuous.sought(self.as_newest(before), room[:inputs], rates):
                 sizes = np.sqrt(np.einsum("ij,jk,ik->i", H, Q, H))
                 likely = float((room[:inputs] / np.where(sizes > 0, sizes, 1e-300)).min())
-                if had <= likely < _BETTER * had:
+                nearly = best is not None and 1 / _BETTER <= best.scale(left) < 1
+                if had <= likely < _BETTER * had and not nearly:
                     continue
                 for much in _SLOWED if len(change) else _SLOWED[:1]:
                     held = ticks.around(before, room, np.vstack([H @ ticked, much * change]), weights)

@@ -70,10 +70,14 @@ class TubeProgram:
             slack: Share of the size of what drives by which inequalities are to hold.
             summed: Whether d is.
         """
-        L, system, drive = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system, self._felt(drive)
+        L, system = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system
+        added = np.array([g.floats[:, 0] for g in drive.held_by(system)])
+        if drive.ticks is None and not added.any():  # balls alone drive, or nothing: a tube is sought for a little
+            drive = drive.slowly(_NOTHING * self.most)
+            added = drive.between.floats.T
         inside, back, eye = self.clock.inside(L, a / 2), np.linalg.inv(L), np.eye(len(L))
         ticks = [np.zeros(len(L))] * len(inside.J) if drive.ticks is None else [X.floats[:, 0] for X in drive.ticks]
-        holding = L @ np.array([g.floats[:, 0] for g in drive.held_by(system)]).T
+        holding = L @ added.T
         kicking = np.array(ticks) @ L.T / np.sqrt(1.0 if summed else b or np.inf)
         h = self.clock.period
         driving = holding if summed else holding * np.sqrt(h / (a or np.inf))
@@ -109,13 +113,6 @@ class TubeProgram:
             return None
         Q, T = found
         return [size * back @ Q_k @ back.T for Q_k in Q], size * T / self.clock.longer(L) ** 2
-
-    def _felt(self, drive: "Drive") -> "Drive":
-        """Return what drives, or a little of it where balls alone do, or nothing: then a tube is sought for that."""
-        if drive.ticks is not None or any(g.floats.any() for g in drive.held_by(self.system)):
-            return drive
-        little = BallMatrix.of(_NOTHING * self.most * drive.held.floats)
-        return replace(drive, held=BallMatrix.of(0 * drive.held.floats), between=little)
 
     @cached_property
     def clock(self) -> ClockedForms:
@@ -190,6 +187,10 @@ class Drive:
     def middles(self, system: Clocked) -> Array:
         """Return F_i E + G, (v, n)."""
         return np.array([(F @ self.held + self.between).floats[:, 0] for F in system.F])
+
+    def slowly(self, rate: float) -> "Drive":
+        """Return what drives at a rate, in 1/s, what this is beside."""
+        return replace(self, held=self.held.times(Fraction(0)), between=BallMatrix.of(rate * self.held.floats))
 
     def held_by(self, system: Clocked) -> list[BallMatrix]:
         """Return what d may add to z', at all corners of the boxes, (n, 1) each."""
