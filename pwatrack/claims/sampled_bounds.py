@@ -259,14 +259,14 @@ class TubeBounds(Claim):
         n, gains = len(controller.plant.B), self.errors.gains
         if gains.delay or gains.jitter or not (seen.sampled and self.anywhere):
             return {}  # what waits at the start is not seen, nor what time the program counts
-        h, firsts = gains.sample_time, self._firsts(seen.start[:n], seen.start[n:])
+        times, firsts = seen.t / gains.sample_time, self._firsts(seen.start[:n], seen.start[n:])
         most = dict.fromkeys(self.anywhere, np.full(len(seen.t), np.inf))
         for one in (one for each in self.tubes.values() for one in each):
-            size, ticks = max(in_ellipsoid(one.Q[0], z) for z in firsts), np.floor(seen.t / h * (1 - _ROUNDED))
+            size, ticks = max(in_ellipsoid(one.Q[0], z) for z in firsts), np.floor(times * (1 - _ROUNDED))
             fallen = np.exp(-one.a / 2 * seen.t + np.log1p(-one.b) / 2 * ticks)
             for form, each in zip(most, one.sizes, strict=True):
                 most[form] = np.minimum(most[form], each * size * OVER_POWERS * fallen)
-        at, times = np.floor(seen.t / h * gains.substeps).astype(np.int64), seen.t / h
+        at = np.floor(times * gains.substeps).astype(np.int64)
         ticking = (np.abs(times - np.rint(times)) <= _ROUNDED * np.maximum(times, 1.0)).all()
         told = {form: each for form, each in self.anywhere.items() if ticking or form[0] != "estimate"}
         return {form: _around(each, at) + most[form] for form, each in told.items()}

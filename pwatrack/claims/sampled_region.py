@@ -36,8 +36,7 @@ from pwatrack.rational import floats
 
 _NOT_FOUND = "no forms were found that prove it"
 _FINER = 2  # times as many segments as the loop without limits takes
-_BETTER = 1.05  # times as much of the starts with samples of no length: from which on what falls slower is looked at,
-# or where so much more would be all of them
+_BETTER = 1.05  # times as much of the starts with samples of no length: from which on what falls slower is looked at
 _SLOWED = (1.0, 0.3)  # times what an input wants to change by: what it changes by at least where it may not
 _FASTER = (1.5, 5.0)  # times as fast as the loop without limits: how fast V may change with a gain against windup
 _MUCH = (1.0, 0.5)  # of it that is tried: it is sought as if samples were short
@@ -162,10 +161,9 @@ class _Search:
         for loop in controller.claims_of(SampledLoop) if room is not None else ():
             if loop.proof is None or room is None:
                 continue
-            taken, idle, missing, changes = np.full(1, np.inf), alone, _beyond(controller, room), asked.changes
-            if alone:
-                taken = np.zeros(controller.plant.B.shape[1])
             X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
+            taken, idle = np.full(len(inputs), 0.0 if alone else np.inf), alone
+            missing, changes = _beyond(controller, room), asked.changes
             X, begun = X if asked.measured is None else asked.measured, None
             for bounds in controller.claims_of(SampledBounds) if not (missing or alone) else ():
                 taken, changed = bounds.taken(inputs, drives(bounds.errors, inputs))
@@ -336,7 +334,7 @@ class _Search:
             for Q, H, weights in self.continuous.sought(self.as_newest(before), room[:inputs], rates):
                 sizes = np.sqrt(np.einsum("ij,jk,ik->i", H, Q, H))
                 likely = float((room[:inputs] / np.where(sizes > 0, sizes, 1e-300)).min())
-                nearly = best is not None and 1 / _BETTER <= best.scale(left) < 1
+                nearly = best is not None and 1 / _BETTER <= best.scale(left) < 1  # a little more is all of them
                 if had <= likely < _BETTER * had and not nearly:
                     continue
                 for much in _SLOWED if len(change) else _SLOWED[:1]:

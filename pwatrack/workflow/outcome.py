@@ -359,7 +359,7 @@ class SimulatedLoop:
     def bands(self) -> dict[Form, Array]:
         """What is proved of each signal at the samples that were kept, from this start and for what acts, (K,) each."""
         conditions = self.loop.conditions
-        if self.spool is not None and not (conditions.limits is None and conditions.rates is None):
+        if self.spool is not None and (conditions.limits is not None or conditions.rates is not None):
             return {}  # whether an input came to a limit, what was kept does not tell
         r, w = self.response, self.w
         if w is not None:

@@ -90,24 +90,19 @@ def _with_another_gain(controller: ProvedController, asked: Asked, share: float)
             if not whatever and controller.sizes.norm(gains.K) > controller.sizes.norm(first.K):
                 continue
             wanted = replace(asked, sampled=gains)
-            tried = again(replace(controller, claims=_others(controller)), wanted, (SampledLoop,))
+            tried = again(controller, wanted, _STARTS[:1])
             alone = _share(tried, if_alone(tried, wanted, kinds)) or 0.0
             if alone < _HOPELESS and not whatever:
                 break  # a smaller one has not so many times more
             if alone < (share if whatever else 1):
                 continue
             tried = again(tried, wanted, _STARTS[1:])
-            more = _share(tried)
-            if more is not None and (more >= 1 or (whatever and more > share)):
+            more = _share(tried) or 0.0
+            if more >= 1:
+                return again(tried, asked, _OTHERS), more
+            if whatever and more > share:
                 best, share = tried, more
-            if share >= 1:
-                return again(best, asked, _OTHERS), share
     return best if best is controller else again(best, asked, _OTHERS), share
-
-
-def _others(controller: ProvedController) -> tuple[Claim, ...]:
-    """Return the claims that are not about the program."""
-    return tuple(claim for claim in controller.claims if not isinstance(claim, (*_STARTS, *_OTHERS)))
 
 
 def _sought(controller: ProvedController, within: InputConstraint, made: SampledGains) -> Iterator[SampledGains]:
