@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from rich.console import Console
 from scipy.integrate import solve_bvp
 from scipy.linalg import expm
@@ -19,11 +20,13 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.decay import sentences
 from pwatrack.claims.robust import Robust
+from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control import generator as generator_module
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
+from pwatrack.control.sampled_disturbances import ROUNDING
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
 from pwatrack.errors import Infeasible, OutsideTheory, Undecided
 from pwatrack.lmi.audit.certificate import audit
@@ -40,6 +43,7 @@ from pwatrack.report.parameters import box_figures
 from pwatrack.report.screen import Findings
 from pwatrack.report.summary import print_design
 from pwatrack.simulation import stable_inversion as preview_module
+from pwatrack.simulation.acting import acting
 from pwatrack.simulation.stable_inversion import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.how_far import how_far
@@ -204,6 +208,32 @@ def test_an_unknown_load_is_compensated_too() -> None:
     result = simulate(load_spec(SPECS / "gallery" / "cart_and_pole_on_the_move.yaml"))
     assert result.final_error < 1e-8
     assert np.abs(result.response.estimates[-1]) == pytest.approx([0.5], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_what_is_played_back_leaves_little_in_the_sampled_loop_too(specs: Path) -> None:
+    """A run is below its bounds; where η is off (15) by more than rounding nothing is said of it."""
+    text = (specs / "gallery" / "flexible_arm.yaml").read_text(encoding="utf-8")
+    spec = load_spec(yaml.safe_load(text.replace("simulation:", "simulation:\n  controller: {sample_time: 0.001}", 1)))
+    controller = design(spec)
+    (bounds,) = controller.claims_of(SampledBounds)
+    response = simulate(spec, controller).response
+    seen = {
+        "output": np.abs(response.tracking_error),
+        "state": np.abs(response.x - response.x_d),
+        "input": np.abs(response.u - response.u_ff),
+    }
+    for (kind, k), most in bounds.from_start.items():
+        assert kind == "estimate" or seen[kind][:, k].max() <= most.max()
+    assert bounds.ends_below(controller)["output", 0] < 1e-8  # m
+    preview = controller.trajectory.preview
+    assert preview is not None
+    assert preview.share < ROUNDING
+    conditions, eta = spec.scenario.conditions, np.zeros(0)
+    for left in ({"residual": 1e-10 * preview.terms}, {"jumps": 1e-10 + preview.jumps}):
+        off = replace(controller, trajectory=replace(controller.trajectory, preview=replace(preview, **left)))
+        assert acting(off, conditions, bounds.errors, eta, 1.0) is None
+    assert acting(controller, conditions, bounds.errors, eta, 1.0) is not None
 
 
 def test_a_reference_that_is_not_known_beforehand_is_refused(tmp_path: Any) -> None:

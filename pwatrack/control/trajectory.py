@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from pwatrack.arrays import EPS, Array, IntArray
+from pwatrack.arrays import EPS, TINY, Array, IntArray
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.errors import InvalidSpec, Problem, Remedy, Subject, Way
 from pwatrack.model.pwa import PWASystem
@@ -32,6 +32,13 @@ class NoncausalTrajectory:
     # how long, in s, before the reference first moves η leaves its rest, by more than 1e-3 of its way; None where the
     # reference does not begin at rest
     lead: float | None
+
+    @property
+    def share(self) -> float:
+        """How far η' is off (15) at most, as a share of its terms, with jumps as ways over the polynomials before."""
+        ways = self.jumps / np.diff(self.times, prepend=0.0)[:, None]
+        off = self.residual + ways.max(axis=0, initial=0.0)
+        return float((off / np.maximum(self.terms, TINY)).max(initial=0.0))
 
     def measured(self, each: Array, rate: float) -> float:
         """Return what residual and jumps leave of a measure W that has W' ≤ −rate W of what is off.

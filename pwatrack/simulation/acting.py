@@ -55,14 +55,15 @@ def acting(
 ) -> Acting | None:
     """Return how large what acts gets up to a time (s) of the program, substep by substep; None where not known.
 
-    It is not for an η that is played back, and for very many samples. Where inputs are late it begins with x̂ = x = x_d
-    as the first input comes. The gains of the controller are those of `errors`.
+    It is not for very many samples, nor for an η that is played back and off (15) by more than rounding. Where inputs
+    are late it begins with x̂ = x = x_d as the first input comes. The gains of the controller are those of `errors`.
     """
     gains, trajectory = errors.gains, controller.trajectory
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
     end = trajectory.exosystem.end
     duration = duration if end is None else min(duration, end)
-    if trajectory.preview is not None or duration / gains.sample_time * gains.substeps > _MOST:
+    known = trajectory.preview is None or trajectory.preview.share <= ROUNDING
+    if not known or duration / gains.sample_time * gains.substeps > _MOST:
         return None
     runs, loads = program(controller, Conditions(sampling=sampling)), LoadsAlong.of(controller, conditions, gains)
     walk = _Walk(controller, errors, runs, loads)
