@@ -230,8 +230,8 @@ def test_what_is_played_back_leaves_little_in_the_sampled_loop_too(specs: Path) 
     assert preview is not None
     assert preview.share < ROUNDING
     conditions, eta = spec.scenario.conditions, np.zeros(0)
-    for left in ({"residual": 1e-10 * preview.terms}, {"jumps": 1e-10 + preview.jumps}):
-        off = replace(controller, trajectory=replace(controller.trajectory, preview=replace(preview, **left)))
+    for more in replace(preview, residual=1e-10 * preview.terms), replace(preview, jumps=1e-10 + preview.jumps):
+        off = replace(controller, trajectory=replace(controller.trajectory, preview=more))
         assert acting(off, conditions, bounds.errors, eta, 1.0) is None
     assert acting(controller, conditions, bounds.errors, eta, 1.0) is not None
 

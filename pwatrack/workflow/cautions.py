@@ -120,7 +120,9 @@ def _disturbed(
     references = reference_sizes(spec, controller)
     kinds = " and ".join(sorted(acting, reverse=True))
     under = f"under {kinds}" if kinds else "in the sampled loop"
-    calmer = "raise 'sizes' of inputs: a faster K; or 'estimate' the load" if kinds else "sample more often"
+    sampling = spec.scenario.conditions.sampling
+    often = "sample with less jitter, or more often" if sampling and sampling.jitter else "sample more often"
+    calmer = "raise 'sizes' of inputs: a faster K; or 'estimate' the load" if kinds else often
     calmer = "raise 'sizes' of outputs: a calmer observer" if "noise" in kinds else calmer
     for k, name in enumerate(controller.error_names):
         bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
