@@ -72,6 +72,17 @@ def test_each_death_costs_one_task(jobs: int) -> None:
     assert lost == [0, 3, 6, 9]
 
 
+def test_a_death_between_tasks_costs_none() -> None:
+    """The kernel kills what is large where memory is short, whatever it is at."""
+    with Pool(2) as pool:
+        for _ in range(3):
+            pid = pool.submit(os.getpid).result()
+            os.kill(pid, signal.SIGKILL)
+            while alive(pid):
+                time.sleep(0.01)
+            assert [pool.submit(divmod, k, 3).result() for k in range(4)] == [divmod(k, 3) for k in range(4)]
+
+
 def interrupted(folder: Path) -> tuple[list[Future[Any]], int]:
     """Begin three tasks with one process and be interrupted; return them, and the number of the process."""
     with suppress(KeyboardInterrupt), Pool(1) as pool:

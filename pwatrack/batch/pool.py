@@ -58,13 +58,14 @@ class _Task:
 
 @dataclass(kw_only=True)
 class _Worker:
-    """A process, and the task that it is at: until `deadline` it is left alone, then told to end, then killed."""
+    """A process, its task, and whether it has taken it; it is left alone until `deadline`, then ended."""
 
     process: ForkServerProcess
     tasks: Connection
     errors: Connection
     ready: bool = False
     task: _Task | None = None
+    taken: bool = False
     begun: float = 0.0
     deadline: float | None = None
     reason: str = ""
@@ -171,12 +172,12 @@ class Pool(Executor):
                 task = self._waiting.popleft() if self._waiting else None
             if task is None:
                 break
-            if not task.future.set_running_or_notify_cancel():
+            if not task.future.running() and not task.future.set_running_or_notify_cancel():
                 continue
             if free is None:
                 free = self._start()
                 self._workers.append(free)
-            free.task = task
+            free.task, free.taken = task, False
             self._begin(free)
             with suppress(OSError):  # it died meanwhile: seen from its sentinel
                 free.tasks.send_bytes(task.content)
@@ -230,13 +231,13 @@ class Pool(Executor):
             worker.reason, worker.deadline = reason, time.monotonic() + _GRACE
 
     def _answered(self, worker: _Worker) -> bool:
-        """Take what a process sends: that it is there, or its answer; return whether there was anything."""
+        """Take what a process sends: that it is there, has taken its task, or its answer; say whether there was any."""
         try:
             message = ForkingPickler.loads(worker.tasks.recv_bytes())
         except (EOFError, OSError):  # it is dying: seen from its sentinel
             return False
         if message is None:
-            worker.ready = True
+            worker.taken, worker.ready = worker.ready, True
         if worker.reason or worker.task is None:  # too late
             return True
         if message is None:
@@ -264,7 +265,10 @@ class Pool(Executor):
         self._bury(worker)
         with self._lock:
             self._workers.remove(worker)
-        if worker.task:
+        if worker.task and worker.ready and not worker.taken and not worker.reason:  # it died of something else
+            with self._lock:
+                self._waiting.appendleft(worker.task)
+        elif worker.task:
             code = worker.process.exitcode or 0
             killer = -code if code < 0 and not worker.reason else 0
             reason = worker.reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
@@ -288,7 +292,9 @@ def _hear(worker: _Worker) -> None:
 
 
 def serve(tasks: Connection, errors: Connection, memory: float | None, preload: Sequence[str]) -> None:
-    """Work off tasks: (function, arguments, named arguments) come, and (answer, whether it is one) go, at first a None.
+    """Work off tasks: (function, arguments, named arguments) come, and (answer, whether it is one) go.
+
+    A None goes at first, and as a task is taken.
 
     All that the process says on stderr goes to `errors`. A task may take so many megabytes beyond the program itself.
     The modules of `preload` are there before the first task, also if the fork server was begun for another pool.
@@ -305,11 +311,13 @@ def serve(tasks: Connection, errors: Connection, memory: float | None, preload: 
     for name in preload:
         with suppress(ImportError):  # a task that needs it says so
             import_module(name)
+    here = ForkingPickler.dumps(None)
     with suppress(OSError):
-        tasks.send_bytes(ForkingPickler.dumps(None))  # from now on time counts
+        tasks.send_bytes(here)  # from now on time counts
     while True:
         try:
             content = tasks.recv_bytes()
+            tasks.send_bytes(here)
         except (EOFError, OSError):
             return
         answer = _done(content, memory)
