@@ -35,7 +35,8 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.propagate import simulate_flow
-from tests.sampled import asking, worst_found
+from tests.plain import Plain
+from tests.sampled import asking, integrated, worst_found
 from tests.test_cli import call
 
 MACHINE = """
@@ -300,62 +301,155 @@ def test_less_the_nominal_loop_only_what_is_otherwise_is_left(
             assert np.abs(left).max() > 1e-6
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_where_ticks_are_late_a_disturbance_makes_up_for_it(seed: int, friction: tuple[Spec, ProvedController]) -> None:
-    """In time of the program, with λ any, x_d' any: (λ − 1) (x_d + e₀)' less what R e₀ says of it acts too."""
+@pytest.mark.parametrize(("seed", "delay"), [(0, 0), (1, 0), (2, 2)])
+def test_where_time_is_not_that_of_the_program_what_acts_makes_up_for_it(
+    seed: int, delay: int, friction: tuple[Spec, ProvedController]
+) -> None:
+    """At a time τ of the program it is t: of any states and x_n = x_d + e₀ at both, z' and a tick are as it is said.
+
+    z is that of x − x_n(t), of what was predicted less x_n(τ), and of inputs less those of the nominal loop at τ.
+    """
     plain, random = the_bounds(friction[1]).errors, np.random.default_rng(seed)
-    errors = replace(plain, gains=replace(plain.gains, jitter=0.3 * plain.gains.sample_time))
-    F, (n, m, N, _) = np.array([X.floats for X in errors.clocked.vertices]), errors.widths
-    paces = F[:, 0, 1]  # of position, of which all cells say that it changes as speed does
-    K, R, A0, B, order = errors.gains.K, errors.R.floats, errors.mean.floats, friction[1].plant.B, errors.order
-    nominal, moved = (driven(errors, (kind, 0)) for kind in ("nominal", "moved"))
-    drives = [driven(errors, ("disturbance", k)).between.floats[:, 0] for k in range(n)]
-    at = [int(np.flatnonzero(nominal.held.floats)[0])]
-    z, left, e, dt = np.zeros(order), np.zeros(order), np.zeros(n), plain.gains.sample_time / 4
-    assert sorted({*paces.round(9).tolist()}) == [0.7, 1.3]
+    h = plain.gains.sample_time
+    errors = replace(plain, gains=replace(plain.gains, jitter=0.3 * h, delay=delay))
+    plant, d, R, A0 = errors.plant, errors.predicted, errors.R.floats, errors.mean.floats
+    (n, m), q = plant.B.shape, len(R)
+    at = [int(np.flatnonzero(row == 1)[0]) for row in R]
+
+    def law(x: Array) -> tuple[Array, Array]:
+        i = plant.partition.locate(x)
+        return plant.A[i], plant.b[i]
+
+    def f(x: Array) -> Array:
+        A, b = law(x)
+        return np.asarray(A @ x + b)
+
+    def mean(x: Array, other: Array) -> Array:
+        """Return the A with f(other) − f(x) = A (other − x): planes are crossed by lines at known places."""
+        H, offset = plant.partition.H, plant.partition.h
+        with np.errstate(all="ignore"):
+            cut = -(H @ x + offset) / (H @ (other - x))
+        places = np.unique([0.0, 1.0, *cut[(cut > 0) & (cut < 1)]])
+        middles = (places[1:] + places[:-1]) / 2
+        return np.asarray(sum(w * law(x + s * (other - x))[0] for w, s in zip(np.diff(places), middles, strict=True)))
+
     for _ in range(20):
-        z, left, held, p = errors.ticks[0].floats @ z, errors.ticks[0].floats @ left, K @ e, R @ e
-        for _ in range(4):
-            omega, x_d = float(random.normal()), random.normal(size=n)
-            shares = random.dirichlet(np.full(len(F), 0.1))
-            A, pace = np.tensordot(shares, F, 1), float(shares @ paces)
-            whole, of_e = np.zeros((2 * order + n + 1, 2 * order + n + 1)), slice(2 * order, 2 * order + n)
-            whole[:order, :order] = whole[order : 2 * order, order : 2 * order] = A
-            pushed, late = B[:, 0] * omega, (pace - 1) * x_d
-            off = late + (pace - 1) * pushed
-            whole[:n, -1], whole[n + m : n + m + n, -1] = pace * pushed + late, -off
-            whole[n + m + N : order, -1] = R @ pushed
-            whole[order : 2 * order, of_e] = (
-                A @ (nominal.held.floats + moved.held.floats) + nominal.between.floats
-            ) @ R
-            whole[order : 2 * order, -1] = -(A @ moved.held.floats @ p) + np.array(drives).T @ (
-                off + (pace - 1) * B @ held
+        pace, nu = random.uniform(0.7, 1.3), random.normal(size=m)
+        (x_d, d_t), (e0, e_t), (u, u_t) = (random.normal(size=(2, size)) for size in (n, n, m))
+        x = np.asarray(random.normal(size=n))
+        seen, begins = random.normal(size=(2, d, n))
+        moved: Array = random.normal(size=q)
+        e, Delta = x - d_t - e_t, seen - x_d - e0 - (x - d_t - e_t)
+        rho = (seen - begins) @ R.T - moved
+        z = np.concatenate([e, nu, Delta.ravel(), rho.ravel()])
+        # by what each is
+        rate, rate_t = f(x_d) + A0 @ e0 + plant.B @ u, f(d_t) + A0 @ e_t + plant.B @ u_t
+        e_rate = pace * (f(x) + plant.B @ (u + nu) - rate_t)
+        Delta_rate = np.array([law(p)[0] @ s + law(p)[1] for p, s in zip(begins, seen, strict=True)])
+        Delta_rate = Delta_rate + plant.B @ (u + nu) - rate - e_rate
+        wanted = np.concatenate([e_rate, 0 * nu, Delta_rate.ravel(), ((Delta_rate + e_rate) @ R.T).ravel()])
+        # by what is said
+        F = np.zeros((len(z), len(z)))
+        F[:n, :n], F[:n, n : n + m] = mean(d_t, x), plant.B
+        for i in range(d):
+            own, place = slice(n + m + i * n, n + m + (i + 1) * n), n + m + d * n + i * q
+            F[own, : n + m], F[own, own] = (1 - pace) * F[:n, : n + m], mean(x, seen[i])
+            F[own, place : place + q] = (law(begins[i])[0] - mean(begins[i], seen[i]))[:, at]
+            F[place : place + q] = R @ (F[:n] + F[own] - (1 - pace) * F[:n])
+        F[:n] *= pace
+
+        def added(kind: Any, k: int, size: float, F: Array = F) -> Array:
+            drive = driven(errors, (kind, k))
+            return np.asarray(F @ drive.held.floats + drive.between.floats)[:, 0] * size
+
+        found = F @ z
+        for k in range(q):
+            size = float(R[k] @ e_t)
+            found += (
+                added("nominal", k, size) + added("nominal", q + k, (1 - pace) * size) + added("moved", k, moved[k])
             )
-            whole[order : 2 * order, of_e] += (pace - 1) * np.array(drives).T @ (A0 - A0[:, at] @ R)
-            whole[of_e, of_e], whole[of_e, -1] = A0, B @ held + pushed
-            z, left, e = np.split((expm(whole * dt) @ [*z, *left, *e, 1.0])[:-1], [order, 2 * order])
-            assert z == pytest.approx(left + np.concatenate([e, held, np.zeros(N), R @ e - p]), abs=1e-10)
-            assert np.abs(left).max() > 1e-6
+        for k in range(m):
+            found += added("swap", k, u[k] - u_t[k])
+        for i in range(d):
+            A_j = mean(x, seen[i])
+            off = (mean(x_d, d_t) - A_j) @ (d_t - x_d) + (A0 - A_j) @ (e_t - e0)
+            for k in range(n):
+                found += added("predicted", i * n + k, off[k])
+        assert wanted == pytest.approx(found, abs=1e-9)
+        # and at a tick what is measured is that of t
+        K, M, away = errors.gains.K, errors.gains.M, d_t + e_t - x_d - e0
+        after = seen[0] + M @ plant.C @ (seen[0] - x)
+        nu = K @ ((seen[-1] if delay else after) - x_d - e0)
+        others = [after, *seen[: d - 1]]
+        wanted = np.concatenate([e, nu, np.ravel([one - x_d - e0 - e for one in others]), np.zeros(d * q)])
+        noise = np.hstack([driven(errors, ("noise", k)).ticks[0].floats for k in range(len(plant.C))])  # type: ignore[index]
+        assert wanted == pytest.approx(errors.ticks[0].floats @ z - noise @ plant.C @ away, abs=1e-9)
 
 
 @pytest.mark.slow
 def test_bounds_where_ticks_come_early_and_late(tmp_path: Path) -> None:
     """Those of a jitter of nearly 0 are those of none, and of more they are more; the auditor has it too."""
     ends = list[float]()
-    for jitter in (0, 1e-9, 0.002):
-        sampling = f"{{nominal: 0.05, jitter: {jitter}}}" if jitter else "0.05"
+    for h, jitter in ((0.05, 0), (0.05, 1e-9), (0.05, 0.002), (0.005, 0.0002)):
+        sampling = f"{{nominal: {h}, jitter: {jitter}}}" if jitter else f"{h}"
         text = FRICTION.replace("{sample_time: 0.1}", f"{{sample_time: {sampling}}}")
         (tmp_path / "plant.yaml").write_text(text, encoding="utf-8")
         spec = load_spec(tmp_path / "plant.yaml")
         controller = design(spec)
         claim = the_bounds(controller)
-        assert {kind for kind, _ in claim.tubes} - {"start"} == {"nominal", "moved"} | (
-            {"disturbance"} if jitter else set()
-        )
+        late = {"noise", "predicted", "swap"} if jitter else set()
+        assert {kind for kind, _ in claim.tubes} - {"start"} == {"nominal", "moved"} | late
         assert not audit(json.dumps(design_certificate(spec, controller)))[1]
         ends.append(claim.ends_below(controller)["output", 0])
     assert ends[1] == pytest.approx(ends[0], rel=0.1)
-    assert ends[2] > 1.2 * ends[0]
+    assert 7 * ends[0] > ends[2] > 1.2 * ends[0]
+    assert ends[3] < 0.15 * ends[2], "what the same share of a shorter sample leaves is less"
+
+
+def off_times(way: str, ticks: int, theta: float, seed: int) -> Array:
+    """By how much ticks are off their times, in s; the first is not."""
+    random, k = np.random.default_rng(seed), np.arange(ticks)
+    found = {
+        "in turn": (-1.0) ** k,
+        "anywhere": random.uniform(-1, 1, size=ticks),
+        "at an end": random.choice([-1.0, 1.0], size=ticks),
+        "with the reference": np.sign(np.sin(4 * 0.05 * k + seed)),
+    }[way]
+    return np.concatenate([[0.0], found[1:]]) * theta
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["in turn", "anywhere", "at an end", "with the reference"])
+@pytest.mark.parametrize("delay", [0, 1])
+def test_no_run_whose_ticks_are_off_their_times_is_above_its_bounds(way: str, delay: int, tmp_path: Path) -> None:
+    """The program beside the plant, which is integrated for as long as ticks happen to be apart."""
+    h, jitter = 0.05, 0.005
+    sampling = f"{{sample_time: {{nominal: {h}, jitter: {jitter}}}, delay: {delay}}}"
+    (tmp_path / "plant.yaml").write_text(FRICTION.replace("{sample_time: 0.1}", sampling), encoding="utf-8")
+    spec = load_spec(tmp_path / "plant.yaml")
+    controller = design(spec)
+    claim, plant = the_bounds(controller), controller.plant
+    conditions = replace(spec.scenario.conditions, sampling=Sampling(sample_time=h, jitter=jitter, delay=delay))
+    runs = Plain(program(controller, conditions), np.zeros(2), np.zeros(0))
+    x, count, fine = np.zeros(2), int(spec.scenario.duration / h), 20
+    away = off_times(way, count + 1, jitter / 2, seed=3)
+    t = h * np.arange(count + 1) + away
+    most, ends = 0.0, 0.0
+    for k in range(count):
+        runs.step(plant.C @ x)
+        held, step = np.array(runs.state["u"], dtype=float), (t[k + 1] - t[k]) / fine
+        for j in range(fine):
+            off = abs(x[0] - 0.3 * np.sin(4 * (t[k] + j * step)))
+            most, ends = max(most, off), max(ends, off * (k >= 0.9 * count))
+            x = integrated(plant, x, plant.B @ held, step)
+    below = claim.ends_below(controller)["output", 0]
+    assert 0 < ends <= below
+    if not delay:
+        assert most <= claim.from_start["output", 0].max()
+        run = simulate(spec, controller)
+        found, band = np.abs(run.response.tracking_error[:, 0]), run.bands["output", 0]
+        assert (found <= band).all()
+        assert band.max() < 3 * most
 
 
 LINEAR = re.sub(r"(?s)  cells:.*?reference", "  A: [[0, 1], [0, -0.5]]\nreference", FRICTION)

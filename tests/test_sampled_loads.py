@@ -315,7 +315,8 @@ def test_so_it_is_where_x_d_is_worked_out_beforehand(loads: str, tmp_path: Path)
     assert at_ticks < 1e-9
     assert between < 5e-3
     assert not audit(json.dumps(design_certificate(spec, found)))[1]
-    assert list(SampledBounds.prove(found, asking(spec, found, found.claim(SampledLoop).gains))) == []
+    (bounds,) = SampledBounds.prove(found, asking(spec, found, found.claim(SampledLoop).gains))
+    assert bounds.ends_below(found)["output", 0] < 0.1, "m, where the push is no hum; 0.0003 where it is wind"
 
 
 def test_a_sample_may_begin_in_a_cell_within_the_hull(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import in_ellipsoid
+from pwatrack.claims.channel_text import channel_text
 from pwatrack.claims.exact_text import (
     decimal,
     diagonals,
@@ -39,7 +40,8 @@ from pwatrack.claims.sampled_start import from_start, of_this_start
 from pwatrack.claims.tube_search import TubeSearch
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
-from pwatrack.control.sampled_disturbances import Acting, across, level, shifted
+from pwatrack.control.off_time import OffTime
+from pwatrack.control.sampled_disturbances import SUMMED, Acting, across, level, shifted
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_search import work
 from pwatrack.control.words import Words
@@ -81,7 +83,7 @@ class TubeBounds(Claim):
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
-            few = replace(acts, means={})  # of each channel but the tube that is needed
+            few = replace(acts, means={one: each for one, each in acts.means.items() if one[0] in SUMMED})
             # and where that is too much without the start, from which nothing is said then
             last = replace(few, squares={one: each for one, each in acts.squares.items() if one[0] != "start"})
             ways = product((acts, few, last), (replace(errors, few=_CORNERS), errors))
@@ -257,19 +259,21 @@ class TubeBounds(Claim):
         nothing is returned where not all samples are at ticks.
         """
         n, gains = len(controller.plant.B), self.errors.gains
-        if gains.delay or gains.jitter or not (seen.sampled and self.anywhere):
-            return {}  # what waits at the start is not seen, nor what time the program counts
+        if gains.delay or not (seen.sampled and self.anywhere):
+            return {}  # what waits at the start is not seen
         times, firsts = seen.t / gains.sample_time, self._firsts(seen.start[:n], seen.start[n:])
+        passed = np.maximum(seen.t - gains.jitter / 2, 0.0)  # by the program's time at least
         most = dict.fromkeys(self.anywhere, np.full(len(seen.t), np.inf))
         for one in (one for each in self.tubes.values() for one in each):
-            size, ticks = max(in_ellipsoid(one.Q[0], z) for z in firsts), np.floor(times * (1 - _ROUNDED))
-            fallen = np.exp(-one.a / 2 * seen.t + np.log1p(-one.b) / 2 * ticks)
+            size = max(in_ellipsoid(one.Q[0], z) for z in firsts)
+            ticks = np.floor(passed / gains.sample_time * (1 - _ROUNDED))
+            fallen = np.exp(-one.a / 2 * passed + np.log1p(-one.b) / 2 * ticks)
             for form, each in zip(most, one.sizes, strict=True):
                 most[form] = np.minimum(most[form], each * size * OVER_POWERS * fallen)
-        at = np.floor(times * gains.substeps).astype(np.int64)
-        ticking = (np.abs(times - np.rint(times)) <= _ROUNDED * np.maximum(times, 1.0)).all()
+        at, near = np.floor(times * gains.substeps).astype(np.int64), 1 + OffTime.of(gains).near
+        ticking = not gains.jitter and (np.abs(times - np.rint(times)) <= _ROUNDED * np.maximum(times, 1.0)).all()
         told = {form: each for form, each in self.anywhere.items() if ticking or form[0] != "estimate"}
-        return {form: _around(each, at) + most[form] for form, each in told.items()}
+        return {form: _around(each, at, near) + most[form] for form, each in told.items()}
 
     def _firsts(self, e: Array, delta: Array) -> list[Array]:
         """Return what z may be after the tick at t = 0, (order,) each, for x less the x_d of the program."""
@@ -310,37 +314,9 @@ class TubeBounds(Claim):
         found = dict[Channel, tuple[str, float, str]]()
         for channel, squares in self.acts.squares.items():
             if channel[0] != "start":
-                name, unit = self._named(channel, words, controller)
+                name, unit = channel_text(channel, self.errors, words, controller)
                 found[channel] = name, _above(float(np.sqrt(squares.max()))), unit
         return found
-
-    def _named(self, channel: Channel, words: Words, controller: ProvedController) -> tuple[str, str]:
-        """Return what a channel is in words, and its unit."""
-        plant, units, (kind, k) = words.plant, words.units, channel
-        match kind:
-            case "input":
-                return f"steps of {plant.inputs[k]}", units.get(plant.inputs[k], "")
-            case "drawn":
-                name, unit = words.cause(("disturbance", k))[1:]
-                return f"{name} from x_d moving in a sample", unit
-            case "cell":
-                return f"u_ff of another cell on {plant.inputs[k]}", units.get(plant.inputs[k], "")
-            case "eta":
-                assert controller.form is not None
-                return f"{controller.form.eta_names[k]} stepped in another cell", ""
-            case "load":
-                assert plant.loads is not None
-                return f"steps of {plant.loads.states[k]}", units.get(plant.loads.states[k], "")
-            case "deviation":
-                merged = [merge for claim in controller.claims_of(Practical) for merge in claim.merges]
-                return f"what is merged of {merged[k].nonlinearity.name}", ""
-            case "moved" | "nominal":
-                of = self.errors.followed if kind == "nominal" else self.errors.R
-                entries = [(v, name) for v, name in zip(of.texts[k], plant.states, strict=True) if v != "0"]
-                terms = " + ".join(name if v == "1" else f"({v}) {name}" for v, name in entries)
-                said = "moving in a substep" if kind == "moved" else "off its reference in the mean cell"
-                return f"{terms} {said}", units.get(entries[0][1], "")
-        return words.cause(channel)[1:]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,7 +333,11 @@ class SampledBounds(TubeBounds):
         "x_d), which acts by F less F "
         "of the mean of the A_i that have all others in their hull; where x_d depends on loads, eta_hat is held "
         "against that of the program with the true ones. x_nom is x in the loop of that mean, from x_d on, without "
-        "noise, and z here is less what it is there. With Q linear in time between the knots of each substep, q V of "
+        "noise, and z here is less what it is there. Where ticks are off their times, x is less x_nom at the time as "
+        "it passes, and x_hat_i less x_nom at that of the program; then a swap is what u is there less what it is "
+        "here, predicted what else drives the i-th x_hat_i - x in its k-th row, at i n + k, and nominal at p + k what "
+        "F less F of the mean has of p rows beside, by that mean, as the time between ticks differs. With Q linear "
+        "in time between the knots of each substep, q V of "
         "what it is beside, and g and h how it acts between ticks, at the middle of a box, and at ticks, c Q c^T <= "
         "size^2 at all knots, -(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + r "
         "r^T / (a - q^T T_e^-1 q) < 0 with r = g + Q_e V^T T_e^-1 q at both ends e of each segment, J Q_N J^T / (1 - "
@@ -404,10 +384,10 @@ class SampledBounds(TubeBounds):
             yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
 
 
-def _around(most: Array, at: IntArray) -> Array:
-    """Return the largest of some substeps and of those beside them: of a sample on a tick rounding says which it is."""
+def _around(most: Array, at: IntArray, near: int) -> Array:
+    """Return the largest of some substeps and of so many beside: of a sample on a tick rounding says which it is."""
     last = len(most) - 1
-    return np.asarray(np.max([most[np.clip(at + k, 0, last)] for k in (-1, 0, 1)], axis=0))
+    return np.asarray(np.max([most[np.clip(at + k, 0, last)] for k in range(-near, near + 1)], axis=0))
 
 
 def shown(sizes: Mapping[Form, float]) -> Iterator[tuple[Form, float]]:

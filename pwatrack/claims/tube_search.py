@@ -9,7 +9,7 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.sampled_disturbances import Acting, driven, numbers, row
+from pwatrack.control.sampled_disturbances import SUMMED, Acting, driven, numbers, row
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube, TubeProgram, tube
@@ -49,7 +49,7 @@ class TubeSearch:
         """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
         found = dict[Channel, tuple[Tube, ...]]()
         for channel in acts.squares:
-            ways = (True,) if channel[0] in ("load", "start") else (False, True)[: 1 + (channel in acts.means)]
+            ways = (True,) if channel[0] in SUMMED else (False, True)[: 1 + (channel in acts.means)]
             each = (self._best(channel, summed) for summed in ways)
             if tubes := tuple(one for one in each if one is not None):
                 found[channel] = tubes

@@ -64,6 +64,8 @@ Acts = Literal[
     "cell",
     "eta",
     "load",
+    "predicted",
+    "swap",
     "rounding",
 ]
 Channel = tuple[Acts, int]

@@ -14,6 +14,9 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
                          inputs are late only (Δ_0, σ_0)⁺
     ("input", k)         d on the k-th input as it is put out: it acts beside ν_k
     ("nominal", k)       R_k e₀: it acts by F_i − F₀
+    ("nominal", p + k)   (λ − 1) R_k e₀ of p rows: e' + A₀ ε_k d and all Δ' − A₀ ε_k d
+    ("swap", k)          the k-th input of the nominal loop at τ less that at t: e' + λ B ε_k d and all Δ' − λ B ε_k d
+    ("predicted", i n + k)  d in the k-th row of Δ_i' and in ρ_i' by R ε_k
     ("drawn", k)         d in e_k' alone, so that ρ' has R ε_k d
     ("cell", k)          d on the k-th input as it is put out, as ("input", k) is
     ("eta", k)           d on the k-th entry of δ at a tick
@@ -22,8 +25,11 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("rounding", 0)      what rounding adds, as far as V^½ = 1 of each of its tubes: see `export.rounding`
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
-Where λ times as much time passes as the program counts, in which e' is λ times as large and Δ' has (1 − λ) of it more,
-(λ − 1) ((x_d + e₀)' − Σ_k A₀ ε_k R_k e₀) is one more disturbance, and others are λ times as large.
+Where λ times as much time passes as the program counts, e' is λ times as large and Δ' has (1 − λ) of it more; so
+disturbances are λ times as large. Where each tick is at most θ off its time, it is t at a time τ of the program with
+|t − τ| ≤ θ. Then e is x − x_d at t, and Δ what is predicted, which is for τ, less x_d + e₀ at τ and e. With δ for what
+something is at t less what it is at τ, Δ' has (A_m − A_j) δx_d + (A₀ − A_j) δe₀ besides, m a mean of cells, and what is
+measured has C δ(x_d + e₀): see `control.off_time`.
 
 V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at ticks: so it is at most the mean
 square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
@@ -51,6 +57,8 @@ from pwatrack.rational import identity, pivots
 from pwatrack.real import Real
 
 ROUNDING = 1e-11  # of the size of what it is a difference of: what differs by less differs by rounding
+
+SUMMED = "load", "start", "swap"  # what has no tube but one of its sum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,10 +198,23 @@ def driven(errors: SampledErrors, channel: Channel) -> Drive:
         off = above(zero(n, 1) - one, zero(N - n, 1))
         return Drive(held=nothing, between=above(one, zero(m, 1), *d * [off], zero(order - first, 1)))
     if kind == "nominal":
-        at = pivots(errors.followed.centre)[k]
-        column = errors.mean.part(range(n), [at])
+        at = pivots(errors.followed.centre)
+        column, late = errors.mean.part(range(n), [at[k % len(at)]]), k >= len(at)
+        if late:
+            own = above(zero(n, 1) - column, zero(N - n, 1))
+            return Drive(held=nothing, between=above(column, zero(m, 1), *d * [own], zero(order - first, 1)))
         nominal = above(column, zero(m + d * N, 1), *d * [errors.R @ column], rest)
-        return Drive(held=_unit(order, at), between=nothing - nominal)
+        return Drive(held=_unit(order, at[k]), between=nothing - nominal)
+    if kind == "swap":
+        column = errors.plant.exact.B.part(range(n), [k])
+        own = above(column, zero(N - n, 1))
+        known = above(zero(n + m, 1), *d * [own], *d * [errors.R @ column], rest)
+        return Drive(held=_unit(order, n + k), between=nothing - known)
+    if kind == "predicted":
+        i, k = divmod(k, n)
+        Delta, rho = ([zero(rows, 1)] * d for rows in (N, errors.R.shape[0]))
+        Delta[i], rho[i] = _unit(N, k), errors.R @ _unit(n, k)
+        return Drive(held=nothing, between=above(zero(n + m, 1), *Delta, *rho, rest))
     if kind in ("input", "cell"):
         return Drive(held=_unit(order, n + k), between=nothing)
     return Drive(held=above(zero(first, 1), *d * [_unit(errors.R.shape[0], k)], rest), between=nothing)

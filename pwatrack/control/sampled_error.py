@@ -24,7 +24,8 @@ substep ρ⁺ = 0; after a tick, with noise n beside C Δ_0,
 With delay ν has −U σ_d of its tick, and e' no − E σ_0. So one sample of it adds nothing: x̃_1 is x̃_0 not yet corrected.
 
 A tick that comes λ h after the one before finds x̃ predicted for h all the same. In the time of the program, which is h
-from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else 1 − λ multiplies is x_d'.
+from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else there is acts from outside: see
+`sampled_disturbances`.
 
 Where another plant runs than the program knows, one of a box, f_p and B_p have A_i(p) and B_p in e' where f and B have
 A_i and B, for the same i, and Δ' has A_i e + B ν less that: see `claims.robust`. w acts from outside, in e' and against

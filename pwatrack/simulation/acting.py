@@ -11,21 +11,21 @@ the nominal loop, of the mean A₀ of the cells, is off x_d by
     e₀' = A₀ e₀ + B (u_k + K e₀(t_k) − u_ff(t)),   e₀(0) = 0
 
 which is walked too. What is held, and R (x_d + e₀) as it was at the last substep, go along as states at rest, so that
-Bernstein coefficients enclose the differences, and what the integrals of their squares are.
+Bernstein coefficients enclose the differences, and what the integrals of their squares are. What ticks that are off
+their times add is made of how fast x_d and e₀ change: see `control.off_time`.
 """
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from math import ceil
 
 import numpy as np
-import scipy  # whose parts are imported where they are used
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from pwatrack.arrays import OVER_POWERS, Array, IntArray
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.off_time import OffTime
 from pwatrack.control.program import SampledController, program
 from pwatrack.control.sampled_disturbances import ROUNDING, Acting, joined
 from pwatrack.control.sampled_error import SampledErrors
@@ -36,7 +36,7 @@ from pwatrack.rational import pivots
 from pwatrack.simulation.acting_estimates import OtherCells, crossed
 from pwatrack.simulation.closed_loop import drawn
 from pwatrack.simulation.desired import along, desired_flow
-from pwatrack.simulation.enclosure import Segments, spans
+from pwatrack.simulation.enclosure import Segments, Spans, spans
 from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong, with_loads
@@ -87,7 +87,8 @@ def acting(
         for k, steps in enumerate((conditions.quanta.inputs / 2).tolist()):
             squares["input", k] = np.full(count, steps**2)
             beside["input", k] = beside["input", k] + steps
-    idle = {("nominal", k) for k in range(errors.followed.shape[0])} - {("nominal", k) for k in errors.differing}
+    p = errors.followed.shape[0]
+    idle = {("nominal", k) for k in range(2 * p) if k % p not in errors.differing}
     acts = {channel: each for channel, each in squares.items() if each.any() and channel not in idle}
     return replace(found, squares=acts, beside=beside, along=_with_loads(found.along, errors, loads))
 
@@ -138,11 +139,39 @@ def _outside(
     if conditions.quanta is not None:
         off += conditions.quanta.outputs / 2
     found |= {("noise", k): off[ticks, k] ** 2 for k in range(off.shape[1])}
-    early = ceil(errors.gains.jitter / 2 / (h / parts))
-    if not early:
-        return found
-    around = scipy.ndimage.maximum_filter1d
-    return {channel: around(each, 2 * early + 1, mode="nearest") for channel, each in found.items()}
+    around = OffTime.of(errors.gains).most
+    return {channel: around(each) for channel, each in found.items()}
+
+
+class _Substeps:
+    """What is known of rows in each of so many substeps, as segments come: of each name an array (K, …)."""
+
+    def __init__(self, count: int) -> None:
+        self.count, self._first = count, 0
+        self.most, self.squares, self.areas = dict[str, Array](), dict[str, Array](), dict[str, Array]()
+        self.near = dict[str, Array]()  # how near to 0
+        self.high, self.low = dict[str, Array](), dict[str, Array]()
+
+    def see(self, found: Spans, at: IntArray, rows: Mapping[str, slice]) -> None:
+        """Take the next segments into account, with the substep of the block that each is in."""
+        at = at + self._first
+        for name, columns in rows.items():
+            low, high = found.low[:, columns], found.high[:, columns]
+            self._put(np.maximum, self.most, name, at, np.maximum(np.abs(low), np.abs(high)), 0.0)
+            if name in ("nominal", "moved"):
+                self._put(np.add, self.squares, name, at, found.squares[:, columns], 0.0)
+                self._put(np.add, self.areas, name, at, found.areas[:, columns], 0.0)
+            if name == "planes":
+                self._put(np.minimum, self.near, name, at, np.maximum(np.maximum(low, -high), 0.0), np.inf)
+            if name == "planes of x_d":
+                self._put(np.maximum, self.high, name, at, high, -np.inf)
+                self._put(np.minimum, self.low, name, at, low, np.inf)
+        self._first = int(at[-1]) + 1
+
+    def _put(self, by: np.ufunc, into: dict[str, Array], name: str, at: IntArray, values: Array, none: float) -> None:
+        if name not in into:
+            into[name] = np.full((self.count, values.shape[1]), none)
+        by.at(into[name], at, values)
 
 
 class _Walk:
@@ -156,7 +185,7 @@ class _Walk:
     ) -> None:
         estimated = errors.estimates is not None
         self._plant, self._runs, self._loads = controller.plant, runs, loads if estimated else loads.none
-        self._stepping = loads.largest
+        self._stepping, self._errors, self._off = loads.largest, errors, OffTime.of(errors.gains)
         self._trajectory = with_loads(controller, loads) if estimated else controller.trajectory
         self._others = OtherCells(controller, errors) if estimated else None
         self._made = list[tuple[Array, Array]]()  # by other cells, of u and of η̂, block by block
@@ -167,85 +196,111 @@ class _Walk:
         self._followed = errors.followed.floats
         self._differs = Differences.of_corners(errors.plant.exact, errors.corners)
         self._tracked = np.eye(len(self._A0)) if controller.tracking == "state" else controller.plant.tracked
-        self._kind, at = controller.tracking, pivots(errors.followed.centre)
-        self._rest = self._A0 - self._A0[:, at] @ self._followed
-        self._late = float(errors.paces[-1] - 1)  # by how much more of its time passes than the program counts
+        self._kind = controller.tracking
         self._step = errors.gains.sample_time / self._parts
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
         self._flow, self._ticks = desired_flow(controller.plant, self._trajectory), 0  # those before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
-        self._last, self._changes = np.zeros(self._m), np.zeros(self._m)  # of u
+        self._last, self._changes = np.zeros(self._m), list[Array]()  # of u, at each tick
         self._sizes = np.zeros(len(self._followed))  # of x_d, as it is followed
         self._along = dict[str, Array]()  # between what numbers of the program are
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
-        count, q, m, H = sample_count(duration, self._step), self._q, self._m, self._plant.model.partition.H
-        p, signals, outputs = len(self._followed), m + len(self._tracked), len(self._plant.C)
-        squares, areas, first = np.zeros((count, p + q + self._n)), np.zeros((count, p + q)), 0
-        most, near = np.zeros((count, signals)), np.full((count, len(H)), np.inf)
-        other = np.zeros((count, len(self._differs.of)))
-        away, drawn = np.zeros((count, self._n)), np.zeros((count, len(self._V)))
-        ends = np.full((2, count, self._planes), -np.inf)  # of H x_d: above it, and above −H x_d
+        found, off = _Substeps(sample_count(duration, self._step)), self._off
         for segments, at in self._segments(eta, duration):
-            found, at = spans(segments, self._rows), at + first
-            late, size = p + q + signals + len(H), np.maximum(np.abs(found.low), np.abs(found.high))
-            np.add.at(squares, at, found.squares[:, [*range(p + q), *range(late, late + self._n)]])
-            np.add.at(areas, at, found.areas[:, : p + q])
-            np.maximum.at(most, at, size[:, p + q : p + q + signals])
-            np.maximum.at(other, at, size[:, late + self._n :][:, : len(self._differs.of)])
-            np.maximum.at(drawn, at, size[:, late + self._n + len(self._differs.of) :][:, : len(self._V)])
-            for side, each in zip(ends, (found.high, -found.low), strict=True):
-                np.maximum.at(
-                    side, at, each[:, late + self._n + len(self._differs.of) + len(self._V) :][:, : self._planes]
-                )
-            for name, columns in (("x_hat", slice(-self._n - outputs, -outputs)), ("y", slice(-outputs, None))):
-                self._see(name, found.low[:, columns], found.high[:, columns])
-            apart = np.maximum(np.maximum(found.low, -found.high), 0.0)
-            np.minimum.at(near, at, apart[:, p + q + signals :][:, : len(H)])
-            first = int(at[-1]) + 1
-        squares, areas = squares * OVER_POWERS / self._step, areas * OVER_POWERS / self._step
-        least = ROUNDING * np.concatenate([self._sizes, self._largest[m:], np.zeros(self._n)])
-        squares[:, np.sqrt(squares.max(axis=0)) <= least] = 0.0
-        squares[:, p + q :] *= self._late**2
-        for k, each in zip(self._differs.of, other.T, strict=True):
+            rows = self._slices(segments.modes[0])
+            seen = spans(segments, lambda mode: np.vstack([*self._rows(mode).values()]))
+            found.see(seen, at, rows)
+            for name in ("x_hat", "y"):
+                self._see(name, seen.low[:, rows[name]], seen.high[:, rows[name]])
+        p, m, n = len(self._followed), self._m, self._n
+        squares, moved = (found.squares[name] * OVER_POWERS / self._step for name in ("nominal", "moved"))
+        moved[:, np.sqrt(moved.max(axis=0, initial=0.0)) <= ROUNDING * self._largest[m:]] = 0.0
+        squares[:, np.sqrt(squares.max(axis=0, initial=0.0)) <= ROUNDING * self._sizes] = 0.0
+        nominal = off.means(squares, found.most["nominal"] * (squares.max(axis=0, initial=0.0) > 0))
+        inputs, tracked = off.most(found.most["input"]), off.most(found.most["tracked"])
+        inputs[inputs <= ROUNDING * self._largest[:m]] = 0.0
+        of: dict[Channel, Array] = {("nominal", k): nominal[:, k] for k in range(p)}
+        of |= {("moved", k): each for k, each in enumerate(moved.T)}
+        beside: dict[Form, Array] = {(self._kind, k): each for k, each in enumerate(tracked.T)}
+        rate = self._rates(found)
+        drawn = (found.most["drawn"] + off.theta * rate["V"]) @ self._U.T * OVER_POWERS
+        away = np.zeros((found.count, n))
+        for k, each in zip(self._differs.of, off.most(found.most["away"]).T, strict=True):
             away[:, k] = np.maximum(away[:, k], each)
-        off = drawn @ self._U.T * OVER_POWERS
-        squares[:, p + q :] = (
-            np.sqrt(squares[:, p + q :]) + (1 + self._late) * OVER_POWERS * away + self._late * off
-        ) ** 2
-        most[:, :m][most[:, :m] <= ROUNDING * self._largest[:m]] = 0.0
-        names: list[Channel] = [*(("nominal", k) for k in range(p)), *(("moved", k) for k in range(q))]
-        names += [("disturbance", k) for k in range(self._n)]
-        forms: list[Form] = [*(("input", k) for k in range(m)), *((self._kind, k) for k in range(len(self._tracked)))]
-        more = [off**2]
-        names += [("drawn", k) for k in range(self._n)]
+        pushed = (1 + off.late) * OVER_POWERS * away + off.late * drawn
+        of |= {("disturbance", k): each**2 for k, each in enumerate(pushed.T)}
+        of |= {("drawn", k): each**2 for k, each in enumerate(drawn.T)}
+        means: dict[Channel, Array] = {("moved", k): each / self._step for k, each in enumerate(found.areas["moved"].T)}
+        if off.theta:
+            of |= self._off_time(rate, nominal)
+            means |= {("swap", k): each for k, each in enumerate(self._swaps(inputs).T)}
+            of |= {channel: each**2 for channel, each in means.items() if channel[0] == "swap"}
+            beside |= {("estimate", k): off.theta * each for k, each in enumerate(rate["x"].T)}
         if self._made:
-            u, eta = (np.repeat(np.vstack(each), self._parts, axis=0)[:count] for each in zip(*self._made, strict=True))
-            most[:, :m] += u
-            more += [u**2 * OVER_POWERS, eta**2 * OVER_POWERS]
-            names += [*(("cell", k) for k in range(m)), *(("eta", k) for k in range(eta.shape[1]))]
+            u, eta = (
+                np.repeat(np.vstack(each), self._parts, axis=0)[: found.count] for each in zip(*self._made, strict=True)
+            )
+            inputs = inputs + u
+            of |= {("cell", k): each**2 * OVER_POWERS for k, each in enumerate(u.T)}
+            of |= {("eta", k): each**2 * OVER_POWERS for k, each in enumerate(eta.T)}
+        beside |= {("input", k): each for k, each in enumerate(inputs.T)}
+        changes = np.vstack([np.zeros((1, m)), *self._changes])
         return Acting(
-            squares=dict(zip(names, np.hstack([squares, *more]).T, strict=True)),
-            means=dict(zip(names[p : p + q], areas.T[p:], strict=True)),
-            beside=dict(zip(forms, most.T, strict=True)),
-            planes=H,
-            near=near,
-            apart=self._apart(ends, near),
-            changes=self._changes * OVER_POWERS,
+            squares=of,
+            means={channel: each * OVER_POWERS for channel, each in means.items()},
+            beside=beside,
+            planes=self._plant.model.partition.H,
+            near=found.near["planes"],
+            apart=self._apart(found),
+            changes=changes.max(axis=0) * OVER_POWERS,
             loads=self._stepping,
             along=self._along,
         )
 
-    def _apart(self, ends: Array, near: Array) -> Array:
+    def _rates(self, found: _Substeps) -> dict[str, Array]:
+        """Return how fast x_n = x_d + e₀ is at most at any t: x_n', C x_n', V x_d', and R x_d' beside R e₀'."""
+        ends, rates = np.abs(self._along["x_hat"]).max(axis=1), dict[str, Array]()
+        terms = np.abs(self._A0) @ ends + np.abs(self._plant.B) @ self._largest[: self._m]
+        rows = {"x": np.eye(self._n), "C": self._plant.C, "V": self._V, "R": np.vstack([self._R, self._R])}
+        for name, of in rows.items():
+            each = self._off.most(found.most.get(f"rate of {name}", np.zeros((found.count, len(of)))))
+            rates[name] = each * (each.max(axis=0, initial=0.0) > ROUNDING * (np.abs(of) @ terms))
+        return rates
+
+    def _off_time(self, rate: Mapping[str, Array], nominal: Array) -> dict[Channel, Array]:
+        """Return what ticks off their times do to predictions, and to what is measured and followed, squared."""
+        errors, off, n, q = self._errors, self._off, self._n, self._q
+        of: dict[Channel, Array] = {("noise", k): (off.theta * each) ** 2 for k, each in enumerate(rate["C"].T)}
+        of |= {("nominal", len(nominal.T) + k): each * off.late**2 for k, each in enumerate(nominal.T)}
+        cells, at = np.array([A.floats for A in errors.cells]), pivots(errors.R.centre)
+        differ = np.ptp(cells, axis=0)[:, at]  # of G, where differences are G R, the largest entries
+        predicted = (off.theta * (rate["R"][:, :q] + rate["R"][:, q:]) @ differ.T * OVER_POWERS) ** 2
+        least = ROUNDING * off.theta * np.abs(self._A0) @ rate["x"].max(axis=0, initial=0.0)
+        predicted[:, np.sqrt(predicted.max(axis=0, initial=0.0)) <= least] = 0.0
+        of |= {("predicted", i * n + k): predicted[:, k] for i in range(errors.predicted) for k in range(n)}
+        return of
+
+    def _swaps(self, inputs: Array) -> Array:
+        """Return the mean size of inputs at t less those at τ, where inputs are off u_ff by so much, (K, m) each."""
+        changes, first = np.vstack(self._changes), self._runs.sampling.delay  # before it u_ff acts
+        changes[: first + 1] = 0.0
+        if 0 < first < len(changes):
+            changes[first] = inputs[first * self._parts]
+        changes[:, changes.max(axis=0, initial=0.0) <= ROUNDING * self._largest[: self._m]] = 0.0
+        return self._off.swaps(changes, len(inputs)) * OVER_POWERS
+
+    def _apart(self, found: _Substeps) -> Array:
         """Return how near x_d comes to planes in each sample, with x_d of the program at its tick, (K, P)."""
         if not self._made:
-            return near
-        count, planes, r = len(near), self._plant.model.partition, self._parts
-        whole = np.full((2, -(-count // r) * r, near.shape[1]), -np.inf)
-        whole[:, :count] = ends
+            return found.near["planes"]
+        count, planes, r = found.count, self._plant.model.partition, self._parts
+        whole = np.full((2, -(-count // r) * r, len(planes.H)), -np.inf)
+        name = "planes of x_d"
+        whole[:, :count] = self._off.most(found.high[name]), self._off.most(-found.low[name])
         held = np.vstack(self._known)[: whole.shape[1] // r] @ planes.H.T + planes.h
-        whole = whole.reshape(2, whole.shape[1] // r, r, near.shape[1]).max(axis=2)
+        whole = whole.reshape(2, whole.shape[1] // r, r, len(planes.H)).max(axis=2)
         high, low = np.maximum(whole[0], held), np.minimum(-whole[1], held)
         return np.repeat(np.maximum(np.maximum(low, -high), 0.0), r, axis=0)[:count]
 
@@ -254,12 +309,17 @@ class _Walk:
         ends = np.column_stack([low.min(axis=0), high.max(axis=0)])
         self._along[name] = joined(ends, self._along.get(name, ends))
 
-    def _rows(self, mode: Mode) -> Array:
-        """Return rows on (e₀, what is held, η̂, w, 1).
+    def _slices(self, mode: Mode) -> dict[str, slice]:
+        """Return where rows of each name are."""
+        ends = np.cumsum([0, *(len(rows) for rows in self._rows(mode).values())]).tolist()
+        return dict(zip(self._rows(mode), map(slice, ends[:-1], ends[1:]), strict=True))
 
-        They are what is followed of e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, (x_d + e₀)' less A₀ of
-        what is followed, f_c(x_d) − f(x_d) + (B_c − B) u of the corners c, what of x_d was crossed since the tick,
-        planes of x_d itself, x_d + e₀, and what is measured there.
+    def _rows(self, mode: Mode) -> dict[str, Array]:
+        """Return rows on (e₀, what is held, η̂, w, 1), by names.
+
+        They are what is followed of e₀, R (x_d + e₀) moving, u − u_ff, what is tracked, planes, f_c(x_d) − f(x_d) +
+        (B_c − B) u of the corners c, what of x_d was crossed since the tick, planes of x_d itself, x_d + e₀, and what
+        is measured there; where ticks are off their times the rates of some of them.
         """
         n, m, q, planes, D = self._n, self._m, self._q + len(self._V), self._plant.model.partition, self._differs
         u_ff, x_d = self._trajectory.u_ff[mode[0]], self._trajectory.x_d[mode[0]]
@@ -267,21 +327,24 @@ class _Walk:
         of_planes, nominal = H @ x_d, np.hstack([np.eye(n), np.zeros((n, m + q)), x_d])
         of_planes[:, -1] += planes.h
         zero = np.zeros
-        return np.vstack(
-            [
-                np.hstack([self._followed, zero((len(self._followed), m + q + p))]),
-                np.hstack([R, zero((len(R), m)), -np.eye(len(R), q), R @ x_d]),
-                np.hstack([zero((m, n)), np.eye(m), zero((m, q)), -u_ff]),
-                np.hstack([C, zero((len(C), m + q + p))]),
-                np.hstack([H, zero((len(H), m + q)), of_planes]),
-                np.hstack([self._rest, B, zero((n, q)), x_d @ self._flow.matrix(mode) - B @ u_ff]),
-                np.hstack([zero((len(D.of), n)), D.B, zero((len(D.of), q)), D.rows(mode[0], x_d)]),
-                np.hstack([zero((len(V), n + m)), -np.eye(len(V), q, k=q - len(V)), V @ x_d]),
-                np.hstack([zero((self._planes, n + m + q)), of_planes[: self._planes]]),
-                nominal,
-                self._plant.C @ nominal,
-            ]
-        )
+        found = {
+            "nominal": np.hstack([self._followed, zero((len(self._followed), m + q + p))]),
+            "moved": np.hstack([R, zero((len(R), m)), -np.eye(len(R), q), R @ x_d]),
+            "input": np.hstack([zero((m, n)), np.eye(m), zero((m, q)), -u_ff]),
+            "tracked": np.hstack([C, zero((len(C), m + q + p))]),
+            "planes": np.hstack([H, zero((len(H), m + q)), of_planes]),
+            "away": np.hstack([zero((len(D.of), n)), D.B, zero((len(D.of), q)), D.rows(mode[0], x_d)]),
+            "drawn": np.hstack([zero((len(V), n + m)), -np.eye(len(V), q, k=q - len(V)), V @ x_d]),
+            "planes of x_d": np.hstack([zero((self._planes, n + m + q)), of_planes[: self._planes]]),
+            "x_hat": nominal,
+            "y": self._plant.C @ nominal,
+        }
+        if self._off.theta:
+            e = np.hstack([self._A0, B, zero((n, q)), -B @ u_ff])
+            d = np.hstack([zero((n, n + m + q)), x_d @ self._flow.matrix(mode)])
+            found |= {"rate of x": e + d, "rate of C": self._plant.C @ (e + d), "rate of V": V @ d}
+            found["rate of R"] = np.vstack([R @ d, R @ e])
+        return found
 
     def _segments(self, eta: Array, duration: float) -> Iterator[tuple[Segments, IntArray]]:
         """Yield the walk block by block, with the substep of the block that each segment is in."""
@@ -322,7 +385,7 @@ class _Walk:
         before = np.hstack([u, moving[at] + (e @ self._R.T)[begin]])
         put_out = np.vstack([self._last, u[ticked]])
         self._last = put_out[-1]
-        self._changes = np.maximum(self._changes, np.abs(np.diff(put_out, axis=0)).max(axis=0))
+        self._changes.append(np.abs(np.diff(put_out, axis=0)))
         self._see("u", u, u)
         self._largest = np.maximum(self._largest, np.abs(before).max(axis=0))
         return replace(segments, F=F, zeta=np.hstack([e, before, drawn[ticks], segments.zeta])), at

@@ -115,13 +115,14 @@ class Tubes:
             return zero(len(start), 1), zero(len(start), 1), [tick @ z for tick in self.errors.ticks]
         counts = dict.fromkeys(("disturbance", "drawn"), n) | dict.fromkeys(("input", "cell"), m)
         counts |= {"deviation": len(self.merged), "noise": len(self.errors.plant.C[0]), "moved": q, "load": N - n}
-        counts |= {"nominal": len(self.errors.followed), "eta": self.errors.p}
+        paces = len(self.errors.paces)
+        counts |= {"nominal": paces * len(self.errors.followed), "eta": self.errors.p, "swap": m * (paces - 1)}
+        counts |= {"predicted": self.errors.predicted * n * (paces - 1)}
         if kind not in counts:
             raise AuditFault("a channel of the sampled loop is unknown")
         place(k, counts[kind])
         errors, d, (e, nu, Delta, rho) = self.errors, self.errors.predicted, (zero(size, 1) for size in self.sizes)
         nothing, rest = zero(errors.order, 1), zero(errors.order - errors.held, 1)
-        none = [nothing] * len(errors.ticks)
         if kind == "noise":
             M, others = errors.M.column(k), (d - 1) * [Delta] + d * [rho]
             put_out = errors.put_out(e, Delta if errors.late else M, zero(errors.p, 1))
@@ -133,27 +134,40 @@ class Tubes:
                 e = errors.estimates.hull[0][1].column(k)
             step = stacked(e, nu, *d * [unit(N, n + k)], *d * [rho], rest)
             return nothing, nothing, [tick @ step for tick in errors.ticks]
+        held, (e, own, moved) = self.between(kind, k)
+        return held, stacked(e, nu, *own, *moved, rest), [nothing] * len(errors.ticks)
+
+    def between(self, kind: str, k: int) -> tuple[Ball, tuple[Ball, list[Ball], list[Ball]]]:
+        """Return what 1 of a channel is beside z, and adds to e', and to all Delta' and rho', between ticks."""
+        (n, m, N, q), errors, d = self.sizes, self.errors, self.errors.predicted
+        nothing, below, p = zero(errors.order, 1), zero(N - n, 1), len(errors.followed)
+        e, Delta, rho = zero(n, 1), zero(N, 1), zero(q, 1)
+        if kind == "predicted":
+            i, k = divmod(k, n)
+            own, moved = [Delta] * d, [rho] * d
+            own[i], moved[i] = unit(N, k), errors.R @ unit(n, k)
+            return nothing, (e, own, moved)
+        if kind in ("input", "cell", "swap"):
+            if kind == "swap":
+                B = errors.plant.B.column(k)
+                Delta, rho = stacked(-B, below), -(errors.R @ B)
+            return unit(errors.order, n + k), (e, [Delta] * d, [rho] * d)
+        if kind == "moved":
+            first = n + m + d * N
+            held = stacked(zero(first, 1), *d * [unit(q, k)], zero(errors.order - errors.held, 1))
+            return held, (e, [Delta] * d, [rho] * d)
+        if kind == "nominal" and k < p:
+            mean = errors.mean.column(errors.followed[k])
+            return unit(errors.order, errors.followed[k]), (-mean, [Delta] * d, [-(errors.R @ mean)] * d)
+        if kind == "deviation" and errors.watched and len(errors.paces) > 1:  # it would be in Delta, by 1 - pace
+            raise AuditFault("what is merged acts otherwise where ticks come early and late")
         if kind == "nominal":
-            at = errors.followed[k]
-            mean = errors.mean.column(at)
-            nominal = stacked(mean, nu, *d * [Delta], *d * [errors.R @ mean], rest)
-            return unit(errors.order, at), -nominal, none
-        if kind in ("deviation", "drawn"):
-            e = unit(n, k) if kind == "drawn" else self.merged[k]
-            if kind == "deviation" and errors.watched and len(errors.paces) > 1:  # it would be in Delta, by 1 - pace
-                raise AuditFault("what is merged acts otherwise where ticks come early and late")
-            if kind == "drawn" or errors.watched:
-                rho = errors.R @ e
-            else:
-                Delta = stacked(-e, Delta.rows(n, N))
-        elif kind == "disturbance":
-            e, Delta = unit(n, k), -unit(N, k)
-        elif kind in ("input", "cell"):
-            nu = unit(m, k)
+            e = errors.mean.column(errors.followed[k - p])
         else:
-            rho = unit(q, k)
-        one = stacked(e, nu, *d * [Delta], *d * [rho], rest)
-        return (one, nothing, none) if kind in ("input", "cell", "moved") else (nothing, one, none)
+            e = self.merged[k] if kind == "deviation" else unit(n, k)
+        if kind == "drawn" or (kind == "deviation" and errors.watched):
+            return nothing, (e, [Delta] * d, [errors.R @ e] * d)
+        return nothing, (e, [stacked(-e, below)] * d, [rho] * d)
 
     def row(self, kind: str, k: int) -> Ball:
         """Return the row that reads a signal off z."""
