@@ -1,5 +1,6 @@
-"""Files that came along with work from another machine: they are read in place of those of this one."""
+"""Files that are read: regular ones alone, or those that came along with work from another machine in their place."""
 
+import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -7,6 +8,25 @@ from pathlib import Path
 
 Found = bytes | Exception  # what a file holds, or why it cannot be read
 _CARRIED: ContextVar[Mapping[str, Found] | None] = ContextVar("files of another machine", default=None)
+
+
+def regular(path: Path, most: int) -> bytes:
+    """Return what a file holds, a regular one of so many bytes at most: others may never end.
+
+    Raises OSError, and ValueError where it is none, or its path is none.
+
+    Example:
+        >>> regular(Path("."), 10)
+        Traceback (most recent call last):
+        ValueError: it is a folder
+    """
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise ValueError("it is a folder" if stat.S_ISDIR(about.st_mode) else "it is no regular file")
+    if about.st_size > most:
+        raise ValueError(f"it has {about.st_size:,} bytes, at most {most:,} are read")
+    with path.open("rb") as file:
+        return file.read(most)
 
 
 def attempt(read: Callable[[], bytes]) -> Found:

@@ -232,6 +232,16 @@ def test_a_fifo_is_no_spec_and_is_not_waited_for(tmp_path: Path) -> None:
     assert (code, "it is no regular file" in message) == (2, True)
 
 
+def test_neither_is_it_a_controller_nor_the_index_of_a_run(tmp_path: Path, specs: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for name in ("fifo.json", "run/run.json"):
+        os.mkfifo(tmp_path / name)
+    spec, out = specs / "two_mass_paper_gains.yaml", ("--out", tmp_path / "run")
+    code, _, message = call("simulate", spec, "--controller", tmp_path / "fifo.json", *out)
+    assert (code, "it is no regular file" in message) == (2, True)
+    assert call("compare", tmp_path / "run", tmp_path / "run")[0] == 2
+
+
 def test_a_device_that_never_ends_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "zero.yaml").symlink_to("/dev/zero")
     assert stat.S_ISCHR((tmp_path / "zero.yaml").stat().st_mode)

@@ -306,9 +306,9 @@ def test_only_regular_files_of_a_modest_size_are_tables(tmp_path: Path, monkeypa
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "zero.csv").symlink_to("/dev/zero")
     for name, message in {
-        "pipe.csv": "not a regular file",
+        "pipe.csv": "it is no regular file",
         "zero.csv": "outside of the spec's folder",
-        ".": "not a regular file",
+        ".": "it is a folder",
         "none.csv": "No such file",
         '"a\\0b"': r"a\\x00b: embedded null",
     }.items():
@@ -316,7 +316,7 @@ def test_only_regular_files_of_a_modest_size_are_tables(tmp_path: Path, monkeypa
         assert message.replace("\\\\", "\\") in problem.message
     monkeypatch.setattr("pwatrack.spec.table.LARGEST_FILE", 100)
     (problem,) = refused(table(tmp_path, b"t,y\n" + b"0,0\n" * 50))
-    assert "more than 100 bytes, which is the most that is read" in problem.message
+    assert "bytes, at most 100 are read" in problem.message
     monkeypatch.undo()
     monkeypatch.setattr("pwatrack.spec.table.MOST_ROWS", 40)
     (problem,) = refused(table(tmp_path, rows(T, T).encode()))

@@ -1,7 +1,6 @@
 """Prove a certificate again from its file, and make its design and the files of its folder again, without a solver."""
 
 import json
-import stat
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -24,6 +23,7 @@ from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed
 from pwatrack.lmi.audit.shape import refuses
 from pwatrack.lmi.dichotomy import Dichotomy
+from pwatrack.remote_files import regular
 from pwatrack.report.certificate import bound_content, output_form, subject_content
 from pwatrack.report.controller import known_start, written
 from pwatrack.report.figures import SIMULATED
@@ -285,11 +285,6 @@ def _json(path: Path) -> Any:
 
 def _read(path: Path) -> str:
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
-            raise InvalidSpec(f"{path} is no regular file")
-        if found.st_size > LARGEST:
-            raise InvalidSpec(f"{path} has {found.st_size:,} bytes, at most {LARGEST:,} are read")
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return regular(path, LARGEST).decode("utf-8")
+    except (OSError, ValueError) as error:
         raise InvalidSpec(f"cannot read {path}: {error}") from None

@@ -23,6 +23,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Outside, Sampled
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.loads import Loads
+from pwatrack.remote_files import regular
 from pwatrack.spec.spec import Spec
 
 LARGEST = 2**28  # bytes of a file that is read
@@ -115,9 +116,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
 def read(path: Path) -> ControllerFile:
     """Return a controller from its file. Raises: as `parsed`, and if it cannot be read."""
     try:
-        if path.stat().st_size > LARGEST:
-            raise _refused(path, f"it has more than {LARGEST:,} bytes")
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(regular(path, LARGEST).decode("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise _refused(path, f"it cannot be read: {error}") from None
     return parsed(found, path)

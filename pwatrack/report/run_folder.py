@@ -24,6 +24,7 @@ from typing import Any, Literal
 
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.interruption import uninterrupted
+from pwatrack.remote_files import regular
 from pwatrack.spec.yaml_tree import WRITTEN
 
 Plots = Literal["all", "failed", "none"]  # which runs have pictures
@@ -36,6 +37,7 @@ SPEC = "spec.txt"  # as the run read it; no .yaml, or a batch over a folder of r
 INCOMPLETE = "incomplete"  # the verdict while files are moved: no run
 
 _FORMAT = "pwatrack run 1"
+_LARGEST = 2**28  # bytes of an index that is read
 NAMES = re.compile(  # the files that a run can have: nothing else is ever removed
     r"(gains|certificate|generator|refusal|bounds|controller)\.json|(trace|events|ensemble|pareto)\.csv|"
     rf"{re.escape(WRITTEN)}|{re.escape(SPEC)}|{re.escape(SUMMARY)}|{re.escape(PAGE)}|"
@@ -218,7 +220,7 @@ def kept_files(path: Path) -> list[str]:
 def _index(path: Path) -> dict[str, Any]:
     """Return the index in a folder if it is one of ours, else nothing."""
     try:
-        index = json.loads((path / INDEX).read_text(encoding="utf-8"))
+        index = json.loads(regular(path / INDEX, _LARGEST).decode("utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
     ours = isinstance(index, dict) and index.get("format") == _FORMAT and isinstance(index.get("files"), dict)

@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-import stat
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from pydantic import ValidationError
 
 from pwatrack.errors import InvalidSpec, Place, Problem, PwatrackError, Subject
 from pwatrack.model.pwa import PWASystem
-from pwatrack.remote_files import content
+from pwatrack.remote_files import content, regular
 from pwatrack.spec.axis import Axis, axes_of
 from pwatrack.spec.parametric import ParametricPlant, evaluated
 from pwatrack.spec.plant_section import build_plant
@@ -255,15 +254,8 @@ def spec_bytes(path: Path) -> bytes:
 
 
 def file_content(path: Path) -> bytes:
-    """Return the bytes of a spec file, a regular one that is not too large: others may never end."""
+    """Return the bytes of a spec file."""
     try:
-        about = path.stat()
-        if not stat.S_ISREG(about.st_mode):
-            kind = "is a folder" if stat.S_ISDIR(about.st_mode) else "is no regular file"
-            raise InvalidSpec(f"cannot read {path}: it {kind}")
-        if about.st_size > _LARGEST_FILE:
-            raise InvalidSpec(f"cannot read {path}: it has {about.st_size:,} bytes, at most {_LARGEST_FILE:,} are read")
-        with path.open("rb") as file:
-            return file.read(_LARGEST_FILE + 1)
+        return regular(path, _LARGEST_FILE)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         raise InvalidSpec(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None

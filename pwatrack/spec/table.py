@@ -1,7 +1,6 @@
 """Tables of samples: a text file with a header and columns -> a course."""
 
 import csv
-import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from pwatrack.arrays import Array, readonly
 from pwatrack.errors import InvalidSpec, Subject
 from pwatrack.model.profile import Table, low_passed
 from pwatrack.model.signal import LARGEST
-from pwatrack.remote_files import content
+from pwatrack.remote_files import content, regular
 from pwatrack.spec.signal_section import TableSection
 from pwatrack.spec.wording import guess
 
@@ -83,16 +82,10 @@ def _values(text: bytes, section: TableSection) -> Array:
 
 
 def table_content(path: Path, folder: Folder) -> bytes:
-    """Return the bytes of a table; only a regular file is opened, and no more is read than is taken."""
+    """Return the bytes of a table."""
     if not folder.outside and not path.resolve().is_relative_to(folder.path.resolve()):  # wherever links lead
         raise ValueError("it is outside of the spec's folder, and is read with --allow-outside only")
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise ValueError("not a regular file")
-    with path.open("rb") as file:
-        text = file.read(LARGEST_FILE + 1)
-    if len(text) > LARGEST_FILE:
-        raise ValueError(f"more than {LARGEST_FILE:,} bytes, which is the most that is read")
-    return text
+    return regular(path, LARGEST_FILE)
 
 
 def _lines(text: bytes) -> list[str]:
