@@ -96,7 +96,7 @@ def check(
 
             from pwatrack.control.applicability import applicability  # which a spec in error does not need
             from pwatrack.lmi.solve import asking
-            from pwatrack.workflow.pipeline import sampling_known
+            from pwatrack.workflow.pipeline import not_judged
             from pwatrack.workflow.simplified import checked
             from pwatrack.workflow.sizing import spec_sizes
             from pwatrack.workflow.tracking import reference_remarks
@@ -110,7 +110,7 @@ def check(
                 )
                 name = spec.name
                 reference, sizes = checked(spec, report)
-            remarks = (*reference_remarks(spec, report.form), *sampling_known(spec))
+            remarks = (*reference_remarks(spec, report.form), *not_judged(spec))
         except PwatrackError as error:  # raised below what can be said of the plant
             refusal = error
         if picture is not None and report is not None:

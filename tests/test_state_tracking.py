@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import LinearConstraint, minimize
 
 from pwatrack import OutsideTheory, design, load_spec, simulate
+from pwatrack.arrays import Array
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.errors import CheckFailed, ExitCode, InvalidSpec
 from pwatrack.model.cells import Partition
@@ -348,6 +350,58 @@ def test_a_set_point_is_found_exactly_where_a_least_squares_solution_solves_the_
             OutsideTheory, match="no equilibrium has the wanted outputs: none at all in cell 'everywhere'"
         ):
             set_point(plant, np.array(y))
+
+
+@given(st.integers(0, 10_000), st.booleans())
+@settings(max_examples=40)
+def test_of_many_equilibria_a_set_point_takes_the_least_within_limits(seed: int, limited: bool) -> None:
+    """Of three states and two inputs with one output one direction or more is open; the oracle looks in each cell."""
+    random = np.random.default_rng(seed)
+    first, kink, h = random.normal(size=(3, 3)), random.normal(size=3), random.normal(size=3)
+    edge, y, B = 0.3 * random.normal(), random.normal(size=1), random.normal(size=(3, 2))
+    plant = PWASystem.create(
+        partition=Partition.create(H=[h], h=[-edge], signs=[[-1], [1]], names=["below", "above"]),
+        A=[first, first + np.outer(kink, h)],
+        b=[np.zeros(3), -edge * kink],
+        B=B,
+        C=[[1.0, 0, 0]],
+        tolerance=1e-9,
+    )
+    sizes, ends = random.uniform(0.3, 3, size=5), np.array([[-1.5, 1.0], [-1.0, 2.0]])
+    inner = ends + 0.1 * np.ptp(ends, axis=1)[:, None] * [1, -1]
+    best = np.inf
+
+    def cost(z: Array) -> float:
+        return float(((z / sizes) ** 2).sum())
+
+    for i, side in enumerate((-1, 1)):
+        E, r = np.block([[plant.A[i], B], [plant.C, np.zeros((1, 2))]]), np.append(-plant.b[i], y)
+        sides: list[LinearConstraint] = [LinearConstraint(E, r, r)]
+        sides.append(LinearConstraint(side * np.append(h, [0, 0]), side * edge, np.inf))
+        if limited:
+            sides.append(LinearConstraint(np.eye(5)[3:], *inner.T))
+        found = minimize(cost, np.zeros(5), constraints=sides, method="SLSQP", options={"ftol": 1e-13, "maxiter": 500})
+        best = min(best, np.sqrt(found.fun)) if found.success else best
+    assume(best < np.inf)
+    point = set_point(plant, y, sizes=sizes, limits=ends if limited else None)
+    z = np.concatenate([point.x_d[0, :, 0], point.u_ff[0, :, 0]])
+    np.testing.assert_allclose(plant.field(z[:3], z[3:]), 0.0, atol=1e-9)
+    assert z[0] == pytest.approx(y[0], abs=1e-9)
+    assert np.linalg.norm(z / sizes) == pytest.approx(best, rel=1e-4)
+    if limited:
+        assert (z[3:] >= inner[:, 0] - 1e-9).all()
+        assert (z[3:] <= inner[:, 1] + 1e-9).all()
+
+
+def test_check_refuses_a_set_point_that_no_input_within_limits_holds(tmp_path: Path) -> None:
+    path = write(tmp_path, "{setpoint: {y1: 0.5, y2: 0}}")
+    limits = "actuator: {limits: {u1: [-0.2, 0.2]}}, "
+    path.write_text(path.read_text().replace("simulation: {", "simulation: {" + limits))
+    for command in ("check", "design"):
+        done = call(command, path, *(("--out", tmp_path / "out") if command == "design" else ()))
+        assert done.exit_code == ExitCode.OUTSIDE_THEORY
+        assert "the reference takes u1 = 1.7 at t = 0 s, above its upper limit, 0.2" in " ".join(done.stderr.split())
+        assert "choose another set-point, or take a stronger drive" in " ".join(done.stderr.split())
 
 
 @given(st.lists(st.integers(-12, 12), min_size=4, max_size=4), st.floats(-3, 3), st.integers(0, 1))

@@ -5,6 +5,7 @@ What no input can make up for in (3) is known exactly, as a linear condition on 
 Where a plant can rest with wanted outputs, linear equations and a cell's inequalities are solved in exact fractions.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import factorial
 from typing import Any
@@ -26,6 +27,9 @@ ROUNDING = 1e-11  # of the largest terms of an equation of (3) over the run: wha
 _LARGEST_EXPONENT = 600.0  # e^{λT} is not followed further
 _LITTLE = flint.fmpq(1, 10**12)  # of its terms: an equation or inequality that is missed by less holds
 _MOST_SAID = 6  # cells in a refusal
+_MOST_LOOKED = 1000  # cells, for a better set-point than one that is known
+_SPARE = 0.1  # of the width of limits of an input, to be left on both sides at a set-point
+_NOWHERE = 1e-12  # what is left of least squares where nothing satisfies all inequalities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,26 +137,42 @@ def input_trajectory(plant: PWASystem, u_ff: Exosystem, start: Array | None) -> 
     )
 
 
-def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTrajectory:
+def set_point(
+    plant: PWASystem,
+    y: Array,
+    *,
+    sizes: Array | None = None,
+    limits: Array | None = None,
+    subject: Subject = (),
+) -> DesiredTrajectory:
     """Return the constant trajectory with c x_d = y for the tracked rows c: A_i x_d + b_i + B u_ff = 0, x_d in cell i.
 
+    Of many it is the least in `sizes` of states and inputs, (n + m,), or in units that balance the equations: of those
+    whose inputs have a tenth of their `limits` (m, 2) to spare on both sides, or else are within these, or else of all.
     If no cell holds such an equilibrium, it is refused.
     """
-    misses = []
+    best, misses, ranges = None, list[str](), [np.tile([-np.inf, np.inf], (plant.B.shape[1], 1))]
+    if limits is not None:
+        spare = _SPARE * np.where(np.isfinite(limits).all(axis=1), limits[:, 1] - limits[:, 0], 0.0)[:, None]
+        ranges = [limits + spare * [1, -1], limits, *ranges]
     for i in range(len(plant.A)):
         try:
-            point = _equilibrium(plant, y, i)
+            point = _equilibrium(plant, y, i, sizes, ranges)
         except OverflowError:  # beyond what a double holds
             point = f"that of cell '{plant.cell_names[i]}' is out of range"
-        if not isinstance(point, str):
-            x_d, u_ff = (values[:, None] for values in point)
-            return DesiredTrajectory.linear(
-                plant,
-                exosystem=exosystem([]),
-                x_d=readonly(x_d),
-                u_ff=np.broadcast_to(u_ff, (len(plant.A), *u_ff.shape)),
-            )
-        misses.append(point)
+        if isinstance(point, str):
+            misses.append(point)
+        elif best is None or point.key < best.key:
+            best = point
+        if best is not None and ((not best.free and not best.beyond) or i > _MOST_LOOKED):
+            break
+    if best is not None:
+        return DesiredTrajectory.linear(
+            plant,
+            exosystem=exosystem([]),
+            x_d=readonly(best.x_d[:, None]),
+            u_ff=np.broadcast_to(best.u_ff[:, None], (len(plant.A), len(best.u_ff), 1)),
+        )
     more = [f"and none in {len(misses) - _MOST_SAID} more cells"] if len(misses) > _MOST_SAID else []
     raise OutsideTheory(
         "no equilibrium has the wanted outputs: " + "; ".join(misses[:_MOST_SAID] + more),
@@ -161,10 +181,26 @@ def set_point(plant: PWASystem, y: Array, *, subject: Subject = ()) -> DesiredTr
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Point:
+    """An equilibrium."""
+
+    x_d: Array
+    u_ff: Array
+    free: int  # how many directions it may be moved in
+    beyond: int  # of how many ranges of inputs it is in none
+    size: float  # in units that are the same in all cells
+
+    @property
+    def key(self) -> tuple[int, float]:
+        """What is to be small; sizes that differ by rounding are one."""
+        return self.beyond, float(f"{self.size:.9g}")
+
+
 _Solutions = tuple[Rational, Rational]  # all z = start + directions s of some linear equations: (k, 1) and (k, free)
 
 
-def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | str:
+def _equilibrium(plant: PWASystem, y: Array, i: int, sizes: Array | None, ranges: Sequence[Array]) -> _Point | str:
     """Return (x_d, u_ff) with A_i x_d + b_i + B u_ff = 0 and c x_d = y in cell i, or why there is none."""
     (n, m), q = plant.B.shape, len(plant.tracked)
     E = np.block([[plant.A[i], plant.B], [plant.tracked, np.zeros((q, m))]])
@@ -178,13 +214,13 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
     side = plant.partition.signs[i][bounding, None]
     H = np.column_stack([side * plant.partition.H[bounding], np.zeros((len(bounding), m))])
     h = side * plant.partition.h[bounding, None]
-    sides, offsets = decimals(H), decimals(h)
+    sides, offsets, units = decimals(H), decimals(h), _scales(E, 8)[1] if sizes is None else sizes
     z, free = found[0], found[1].ncols()
     if free:
-        units = _scales(E, 8)[1]
-        z = _moved(found, _least(found, units))
-        if not _inside(sides, offsets, z):
-            z = _moved(found, _deepest(found, units, sides, offsets))
+        wanted = (_nearest(found, units, *_within(sides, offsets, ends, n)) for ends in ranges)
+        tried = [_moved(found, s) for s in wanted if s is not None]
+        tried.append(_moved(found, _deepest(found, units, sides, offsets)))
+        z = next((z for z in tried if _inside(sides, offsets, z)), tried[-1])
     if not _inside(sides, offsets, z):
         if free:
             return f"those of cell '{name}' lie outside it"
@@ -193,7 +229,22 @@ def _equilibrium(plant: PWASystem, y: Array, i: int) -> tuple[Array, Array] | st
         form = linear_form_text(H[k, :n] * side[k], plant.states)
         return f"that of cell '{name}' lies outside it, by {-depth[k]:.4g} in {form}"
     solution = floats(z)[:, 0]
-    return solution[:n], solution[n:]
+    beyond = sum(not _inside(*_within(sides, offsets, ends, n), z) for ends in ranges)
+    size = 0.0 if sizes is None else float(np.linalg.norm(solution / sizes))
+    return _Point(x_d=solution[:n], u_ff=solution[n:], free=free, beyond=beyond, size=size)
+
+
+def _within(sides: Rational, offsets: Rational, ends: Array, n: int) -> tuple[Rational, Rational]:
+    """Return rows and offsets of a cell, and of inputs within some ends, (m, 2), behind n states."""
+    rows, more = [sides], [offsets]
+    for k, (low, high) in enumerate(ends):
+        for end, sign in ((low, 1.0), (high, -1.0)):
+            if np.isfinite(end):
+                row = np.zeros((1, n + len(ends)))
+                row[0, n + k] = sign
+                rows.append(decimals(row))
+                more.append(decimals(np.array([[-sign * end]])))
+    return stacked(rows), stacked(more)
 
 
 def _solved(E: Rational, r: Rational) -> _Solutions | None:
@@ -214,11 +265,29 @@ def _inside(rows: Rational, offsets: Rational, z: Rational) -> bool:
     return all(v >= -size * _LITTLE for v, size in zip(depth.entries(), terms.entries(), strict=True))
 
 
-def _least(found: _Solutions, d: Array) -> Array:
-    """Return s where z is least in units d."""
+def _nearest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> Array | None:
+    """Return s where z is least in units d with rows z + offsets ≥ 0; None where there is none.
+
+    With z / d = z₀ + Q R s and w = R s + Qᵀ z₀ it is the least w with G w ≥ h: by non-negative least squares (Lawson
+    and Hanson 1974, chapter 23).
+    """
     start, directions = floats(found[0])[:, 0] / d, floats(found[1]) / d[:, None]
     size = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
-    return np.asarray(np.linalg.lstsq(directions / size, -start, rcond=None)[0] / size)
+    Q, R = np.linalg.qr(directions / size)
+    first = Q.T @ start
+    G = np.linalg.solve(R.T, (floats(rows * found[1]) / size).T).T
+    h = G @ first - floats(rows * found[0] + offsets)[:, 0]
+    length = np.maximum(np.linalg.norm(G, axis=1), 1e-300)
+    h = np.asarray(h / length)
+    if not (h > 0).any():
+        return np.asarray(np.linalg.solve(R, -first) / size)
+    unit = max(float(np.abs(h).max(initial=0.0)), 1e-300)
+    E = np.vstack([(G / length[:, None]).T, h / unit])
+    one = np.append(np.zeros(len(first)), 1.0)
+    rest = E @ scipy.optimize.nnls(E, one)[0] - one
+    if not -rest[-1] > _NOWHERE:
+        return None
+    return np.asarray(np.linalg.solve(R, -rest[:-1] / rest[-1] * unit - first) / size)
 
 
 def _deepest(found: _Solutions, d: Array, rows: Rational, offsets: Rational) -> Array:

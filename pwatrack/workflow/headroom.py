@@ -20,6 +20,7 @@ from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.control.words import down
 from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart, Subject
 from pwatrack.lmi.exact import Certificate
+from pwatrack.model.reference import SetPoint
 from pwatrack.model.sizes import Sizes
 from pwatrack.simulation.desired import desired_peak, w_alone
 from pwatrack.simulation.steady_state import steady_start
@@ -161,7 +162,8 @@ def _check(spec: Spec, room: Headroom, said: Sequence[str], at: Sequence[Subject
         needed, limit = (f"{number_text(float(v[k, side]), '.4g')} {unit}".rstrip() for v in (ends, limits))
         way = "above its upper" if side else "below its lower"
         message = f"{said[k]} = {needed} at t = {peak.times[k, side]:.6g} s, {way} limit, {limit}"
-        hint = f"let the reference be slower or smaller, or {remedy}"
+        still = isinstance(spec.problem.reference, SetPoint)
+        hint = f"{'choose another set-point' if still else 'let the reference be slower or smaller'}, or {remedy}"
         problems += [Problem(message=message, subject=at[k], hint=hint)] if said[k] else []
     if problems:
         raise OutsideTheory(*problems)

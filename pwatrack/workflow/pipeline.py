@@ -1,5 +1,6 @@
 """From a spec to its result, step by step as in Section IV of the paper. No input or output."""
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -21,6 +22,7 @@ from pwatrack.control.synthesis import synthesize, with_starts_inside
 from pwatrack.errors import InvalidSpec, PwatrackError
 from pwatrack.lmi.solve import asking
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import SetPoint
 from pwatrack.simulation.acting import acting
 from pwatrack.simulation.bounded import left_by_rounding
 from pwatrack.simulation.closed_loop import ClosedLoop, Response, closed_loop
@@ -210,7 +212,14 @@ def asked(spec: Spec, controller: ProvedController, content: Any = None) -> Aske
     return asked_of(spec, room, controller, taken)
 
 
-def sampling_known(spec: Spec) -> tuple[str, ...]:
+def not_judged(spec: Spec) -> Iterator[str]:
+    """Yield that `design` judges limits and sampling, or what is known of the latter with given gains."""
+    if spec.scenario.conditions.limits is not None and not isinstance(spec.problem.reference, SetPoint):
+        yield "whether the reference keeps the limits of inputs is not judged here: 'design' does"
+    yield from _sampling_known(spec)
+
+
+def _sampling_known(spec: Spec) -> tuple[str, ...]:
     """Say what sampling makes of the loop in each cell, or that it depends on K and L, if these are not given."""
     sampling, goals = spec.scenario.conditions.sampling, spec.objectives
     if sampling is None:

@@ -12,9 +12,11 @@ from pwatrack.control.synthesis import synthesize
 from pwatrack.errors import Infeasible, OutsideTheory, PwatrackError, Undecided
 from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import SetPoint
 from pwatrack.model.simplification import Simplification, merged, scalar_form, widest
 from pwatrack.model.sizes import Sizes
 from pwatrack.spec.spec import Spec
+from pwatrack.workflow.headroom import room_within_limits
 from pwatrack.workflow.sizing import reference_sizes, spec_sizes
 from pwatrack.workflow.tracking import check_reference, desired_trajectory, spec_generator
 
@@ -56,6 +58,8 @@ def checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
 def _checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     said, sizes = check_reference(spec, facts.form), spec_sizes(spec)
     with spec.located():
+        if isinstance(spec.problem.reference, SetPoint):
+            room_within_limits(spec, *desired_trajectory(spec, growing=False), sizes)
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         if facts.form is not None and facts.open in ([], [PRACTICAL]):  # by eigenvalues of the zero dynamics
             spec_generator(spec, facts.form, known=facts.known)

@@ -60,7 +60,11 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
             return f"y_d is bounded and smooth enough for relative degree {form.degrees_text}"
         _state_desired(spec)
         if isinstance(problem.reference, SetPoint):
-            return "x_d is an equilibrium with the wanted outputs"
+            said = "x_d is an equilibrium with the wanted outputs"
+            if problem.plant.B.shape[1] > len(problem.plant.tracked):
+                said += ", of many the least in sizes"
+                said += ", within limits of inputs" * (spec.scenario.conditions.limits is not None)
+            return said
         if isinstance(problem.reference, InputReference):
             return "u_ff is bounded; x_d is the response of the plant"
         return "x_d is bounded and satisfies (3)"
@@ -154,7 +158,9 @@ def _state_desired(spec: Spec) -> DesiredTrajectory:
     """Return the desired trajectory of state tracking."""
     plant, reference = spec.problem.plant, spec.problem.reference
     if isinstance(reference, SetPoint):
-        return set_point(plant, reference.y, subject=("reference", "setpoint"))
+        sizes, limits = spec_sizes(spec), spec.scenario.conditions.limits
+        of_all = np.concatenate([sizes.state, sizes.input])
+        return set_point(plant, reference.y, sizes=of_all, limits=limits, subject=("reference", "setpoint"))
     assert not isinstance(reference, OutputReference)
     signals = reference.signals()
     if isinstance(reference, InputReference):
