@@ -120,7 +120,32 @@ def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_wa
         said[std] = [w for w in assessed(spec, design(spec)).warnings if "half the reference" in w]
     assert [len(found) for found in said.values()] == [0, 1]
     spec = load_spec(stage(tmp_path, more=noise % "1e-9" + "require: {final_error: 1e-12}\n"))
-    assert any(" is proved; 1e-12 m is required; " in w for w in assessed(spec, design(spec)).warnings)
+    assert any(" is proved, 1e-12 m is required; most by noise: " in w for w in assessed(spec, design(spec)).warnings)
+
+
+FAST = "  controller: {sample_time: 0.002}\n"
+CAUSES = {
+    "noise": (5e-4, FAST + "  noise: {std: {y: SIZE}, sample_time: 0.002, seed: 1}\n"),
+    "steps of sensors": (0.01, FAST + "  quantum: {y: SIZE}\n"),
+    "steps of inputs": (3.0, FAST + "  quantum: {y: 1e-9, u: SIZE}\n"),
+    "disturbances": (5.0, FAST + "  disturbance: {v: SIZE*sin(3*t)}\n"),
+    "jitter": (2e-4, "  controller: {sample_time: {nominal: 0.01, jitter: SIZE}}\n"),
+    "sampling": (0.02, "  controller: {sample_time: SIZE}\n"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", CAUSES)
+def test_what_most_of_a_bound_is_said_to_be_by_is_what_lessens_it(cause: str, tmp_path: Path) -> None:
+    (size, more), ends = CAUSES[cause], list[float]()
+    for share in (1.0, 0.1):
+        text = more.replace("SIZE", f"{size * share:g}") + "require: {final_error: 1e-12}\n"
+        spec = load_spec(stage(tmp_path, more=text))
+        found = assessed(spec, design(spec))
+        said = " ".join(w for w in found.warnings if "no better than" in w)
+        assert share < 1 or f"; most by {cause}: " in said, said
+        ends.append(found.ends.get(("output", 0), 0.0))
+    assert ends[1] < 0.6 * ends[0]
 
 
 def test_an_element_of_the_wrong_sign_is_warned_of_by_its_figures(tmp_path: Path) -> None:

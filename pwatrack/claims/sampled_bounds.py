@@ -127,24 +127,41 @@ class TubeBounds(Claim):
 
         That is its last tenth, or the last period of the reference where that is longer.
         """
-        step = self.errors.gains.sample_time / self.errors.gains.substeps
-        period = ceil((controller.trajectory.exosystem.period or 0.0) / step)
+        last = self._last(controller)
+        return {form: _above(float(most[last].max())) for form, most in self.from_zero.items()}
+
+    def ends_by(self, controller: ProvedController, form: Form) -> dict[Channel, float]:
+        """Return what each channel leaves of a signal there at most, by itself."""
+        k, last = self.forms.index(form), self._last(controller)
         return {
-            form: _above(float(most[-max(len(most) // _END, period) - 1 :].max()))
-            for form, most in self.from_zero.items()
+            channel: min(
+                float((V[last] * one.sizes[k]).max()) for V, one in zip(each, self.tubes[channel], strict=True)
+            )
+            for channel, each in (self._settled or {}).items()
         }
+
+    def _last(self, controller: ProvedController) -> slice:
+        """Return the substeps of the end of the run."""
+        step, count = self.errors.gains.sample_time / self.errors.gains.substeps, len(self.acts.near)
+        period = ceil((controller.trajectory.exosystem.period or 0.0) / step)
+        return slice(-max(count // _END, period) - 1, None)
 
     @cached_property
     def from_zero(self) -> dict[Form, Array]:
         """What each signal is at most in each substep, (K,), from error 0 on; nothing where something has no tube."""
-        return self._bounded(start=False)
+        return self._total(self._settled)
 
     @cached_property
     def from_start(self) -> dict[Form, Array]:
         """The same from the start of the run on; nothing where that is not known, or has no tube."""
-        return {} if self.errors.starts is None else self._bounded(start=True)
+        return {} if self.errors.starts is None else self._total(self._looked(start=True), start=True)
 
-    def _bounded(self, *, start: bool) -> dict[Form, Array]:
+    @cached_property
+    def _settled(self) -> dict[Channel, list[Array]] | None:
+        """V^½ of each tube in each substep, from error 0 on, with predictions crossing planes where they may."""
+        return self._looked(start=False)
+
+    def _looked(self, *, start: bool) -> dict[Channel, list[Array]] | None:
         where = np.ones((2, len(self.acts.near)), dtype=bool)
         planes, of = self.acts.planes, self.errors
         rows = (self.acts.near, across(of, planes)), (self.acts.apart, shifted(of, planes))
@@ -154,7 +171,7 @@ class TubeBounds(Claim):
             if (near >= where).all():
                 break
             where = near & where
-        return self._total(levels, start=start)
+        return levels
 
     @cached_property
     def anywhere(self) -> dict[Form, Array]:

@@ -4,7 +4,7 @@ Margins and modes are of each cell by itself, in floating point. What is odd of 
 design: only who knows the machine can say whether the file is right.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from pwatrack.simulation.margins import Margins, loop_margins, worst
 from pwatrack.simulation.modes import modes
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared, tube_bounds
+from pwatrack.workflow.causes import WAYS, of_designed, of_sampled
 from pwatrack.workflow.sizing import reference_sizes
 
 _HALF = 0.5  # of the reference: an error of this size is no tracking
@@ -73,15 +74,24 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     tubes = tube_bounds(controller, spec.objectives.uncertain, spec.scenario.conditions)
     others = isinstance(next(iter(tubes), None), SampledBoxBounds)
     tubes = tubes or controller.claims_of(SampledBounds)
-    for sampled in filter(None, (claim.ends_below(controller) for claim in tubes)):
+    conditions = spec.scenario.conditions
+    known = next((claim for claim in tubes if claim.ends_below(controller)), None)
+    if known is not None:
         acts = {"noise": "noise", "quanta": "quantisation", "disturbance": "disturbance"}
-        found = [said for name, said in acts.items() if getattr(spec.scenario.conditions, name) is not None]
-        found += ["any parameters of the box"] * others
-        ends, condition = sampled, f"under {', '.join(found)}" if found else ""
+        said = [text for name, text in acts.items() if getattr(conditions, name) is not None]
+        said += ["any parameters of the box"] * others
+        ends, condition = known.ends_below(controller), f"under {', '.join(said)}" if said else ""
+
+    def made_of(form: Form) -> dict[str, float]:
+        if known is not None:
+            return of_sampled(known, controller, conditions, form)
+        sizes = {bounds.channel: bounds.sizes for bounds in claims[0].acting}
+        return of_designed({channel: sizes[channel][form] * size for channel, size in acting.items()}, conditions)
+
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
-        *_disturbed(spec, controller, [*{kind for kind, _ in acting}, *["other parameters"] * others], ends),
+        *_disturbed(spec, controller, ends, made_of),
         *_near_limits(spec, controller),
         *_sampling(spec, controller, margins),
         *_little_phase(controller, margins),
@@ -114,18 +124,16 @@ def _little_phase(controller: ProvedController, margins: Margins | None) -> Iter
 
 
 def _disturbed(
-    spec: Spec, controller: ProvedController, acting: Collection[str], ends: Mapping[Form, float]
+    spec: Spec,
+    controller: ProvedController,
+    ends: Mapping[Form, float],
+    made_of: Callable[[Form], Mapping[str, float]],
 ) -> Iterator[str]:
-    """Yield where what is proved under noise and disturbances of the file is more than is required, or half of y_d."""
+    """Yield where what is proved of the end is more than is required, or half of y_d, and what leaves most of it."""
     references = reference_sizes(spec, controller)
-    kinds = " and ".join(sorted(acting, reverse=True))
-    under = f"under {kinds}" if kinds else "in the sampled loop"
-    sampling = spec.scenario.conditions.sampling
-    often = "sample with less jitter, or more often" if sampling and sampling.jitter else "sample more often"
-    calmer = "raise 'sizes' of inputs: a faster K; or 'estimate' the load" if kinds else often
-    calmer = "raise 'sizes' of outputs: a calmer observer" if "noise" in kinds else calmer
     for k, name in enumerate(controller.error_names):
-        bound, unit = ends.get((controller.tracking, k)), spec.problem.units.get(name, "")
+        form: Form = (controller.tracking, k)
+        bound, unit = ends.get(form), spec.problem.units.get(name, "")
         limits = [
             wish.limit
             for wish in spec.requirements
@@ -134,10 +142,12 @@ def _disturbed(
         ]
         most, what = (min(limits), "required") if limits else (_HALF * float(references[k]), "half the reference")
         if bound is not None and bound > most > 0:
+            causes = made_of(form)
+            largest = max(causes, key=lambda cause: causes[cause], default="sampling")
             yield (
-                f"{under} no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
-                + f" is proved; {most:.3g} {unit}".rstrip()
-                + f" is {what}; {calmer}"
+                f"no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                + f" is proved, {most:.3g} {unit}".rstrip()
+                + f" is {what}; most by {largest}: {WAYS[largest]}"
             )
 
 
