@@ -50,6 +50,7 @@ from pwatrack.lmi.clocked_tubes import Tube
 
 _ROUNDED = 1e-9  # of a time in ticks
 _MOST = 300_000  # work of one proof times tubes that are looked for: an auditor decides each, in 10 steps for each
+_LONGEST = 3e11  # tubes times the cube of the unknowns of each: two minutes
 _CORNERS = 64  # of boxes of flows, up to which each is looked at for tubes: bounds are up to a half less then
 _END = 10  # the end of a run is a tenth of it
 _LOOKS = 30  # at where predictions may cross planes, at most
@@ -87,7 +88,8 @@ class TubeBounds(Claim):
             # and where that is too much without the start, from which nothing is said then
             last = replace(few, squares={one: each for one, each in acts.squares.items() if one[0] != "start"})
             ways = product((acts, few, last), (replace(errors, few=_CORNERS), errors))
-            affordable = (way for way in ways if len([*way[0].squares, *way[0].means]) * work(way[1]) <= _MOST)
+            unknowns = len(proof.P) * errors.order * (errors.order + 1) // 2
+            affordable = ((each, opened) for each, opened in ways if _affordable(each, opened, unknowns))
             for each, opened in islice(affordable, 1):
                 found = replace(found, tubes=TubeSearch.of(controller, found.forms, opened, proof).tubes(each))
             yield found
@@ -398,7 +400,14 @@ class SampledBounds(TubeBounds):
                 yield "", f"{begins} never more than {', '.join(always)}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
-            yield "in this run", f"no bound was found for what these leave in the sampled loop: {acts}"
+            tried = "found" if self.tubes else "looked for, which takes too long,"
+            yield "in this run", f"no bound was {tried} for what these leave in the sampled loop: {acts}"
+
+
+def _affordable(acts: Acting, errors: SampledErrors, unknowns: int) -> bool:
+    """Say whether tubes for all that acts can be looked for, and decided."""
+    tubes = len([*acts.squares, *acts.means])
+    return tubes * work(errors) <= _MOST and tubes * unknowns**3 <= _LONGEST
 
 
 def _around(most: Array, at: IntArray, near: int) -> Array:

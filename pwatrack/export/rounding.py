@@ -294,12 +294,15 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
         raise OutsideTheory(f"{_REFUSED}the program is emulated, and nothing is proved of it", hint=_OTHER)
     if len(program.pace):
         raise OutsideTheory(f"{_REFUSED}set-points are not made in whole numbers", hint=_OTHER)
-    if ranges is None:
-        message = f"{_REFUSED}between what its numbers are is not proved: see 'sampled loop' of the design"
-        raise CheckFailed(message, hint=_OTHER)
-    if ranges.bounds.errors.estimates is not None:
+    bounds = next(iter(controller.claims_of(SampledBounds)), None)
+    if bounds is not None and bounds.errors.estimates is not None:
         message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
         raise OutsideTheory(message, hint=_OTHER)
+    if ranges is None:
+        why = "see 'sampled loop' of the design"
+        if bounds is not None and program.sampling.delay and program.sampling.jitter:
+            why = "where ticks come early and late it is not known what becomes of a start before the first late input"
+        raise CheckFailed(f"{_REFUSED}between what its numbers are is not proved: {why}", hint=_OTHER)
     proved, started = runs(code.file), code.file.started
 
     def within(room: float) -> Rounding:

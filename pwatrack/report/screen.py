@@ -261,7 +261,9 @@ def _inputs(result: SimulatedLoop) -> Iterator[Row]:
         if limits is not None and name in result.at_limits:
             share = result.at_limits[name]
             ends = " and ".join(number_text(v, "g") for v in limits[k].tolist() if abs(v) < float("inf"))
-            of = f"limits {ends}, " + (f"at them {percent(share)} of the time" if share else "never reached")
+            touched = figures.lowest[name] <= limits[k, 0] or figures.highest[name] >= limits[k, 1]
+            never = "never asked for more" if touched else "never reached"
+            of = f"limits {ends}, " + (f"at them {percent(share)} of the time" if share else never)
         seen = figures.seen("largest_input")
         yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f"{seen} ({of})"
 
