@@ -538,3 +538,15 @@ def test_a_cell_that_a_run_never_comes_to_has_no_share(tmp_path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("{norm_K: 100}", f"{{time_share: {{{never}: 0}}}}"))
     (checked,) = required(load_spec(path), result.controller, result)
     assert (checked.met, checked.found) == (True, 0)
+
+
+def test_an_error_that_is_known_less_well_than_is_required_says_how_well(tmp_path: Path) -> None:
+    """A pole of 100 kHz for two hours: what rounding may do is above a microvolt."""
+    system = {"states": ["v"], "inputs": ["i"], "outputs": ["y"], "A": [[-1e5]], "B": [[1e3]], "C": [[1]]}
+    spec = {"name": "RC", "system": {**system, "units": {"v": "V", "y": "V"}}}
+    spec |= {"reference": {"output": 3.5}, "simulation": {"duration": 7200, "sample_time": 2}}
+    for limit, known in ((1e-9, True), (1.0, False)):
+        result = simulate(load_spec(spec | {"require": {"final_error": limit}}))
+        (checked,) = required(result.spec, result.controller, result)
+        assert checked.met
+        assert ("V, known to " in checked.text) == known

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import ceil, inf, isfinite
 from typing import Any
 
+from pwatrack.arrays import up
 from pwatrack.claims.decay import gain_figures
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
@@ -17,6 +18,7 @@ from pwatrack.spec.spec import Spec
 from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
+_NORMS = "final_error", "largest_error"  # of the error
 _NO_REST = "the reference does not come to rest before the last tenth of the run, or the output starts there"
 _NO_MARGIN = "no input changes anything, or to look for it in all cells would take long"
 _NO_PERIOD = "no periodic steady state of a trajectory generator was looked for"
@@ -104,8 +106,10 @@ def required(
             message = f"{'.'.join(map(str, asked.subject))}: there is no {asked.figure}{signal}"
             message += f": {_ABSENT[asked.figure]}" if asked.figure in _ABSENT else ""
             problems.append(Problem(message=message, subject=asked.subject, hint="leave it out"))
+        rounded = result.outcome.rounded if result is not None and asked.figure in _NORMS and not many else 0.0
         for signal, each in values.items():
-            found.append(_checked(asked, signal, each, _unit(spec, controller, asked, signal), sampled))
+            unit = _unit(spec, controller, asked, signal)
+            found.append(_checked(asked, signal, each, unit, sampled, rounded if rounded > asked.limit else 0.0))
     if problems:
         with spec.located():
             raise InvalidSpec(*problems)
@@ -134,9 +138,12 @@ def _values(asked: Requirement, members: Sequence[Mapping[str, Any]]) -> Iterato
 
 
 def _checked(
-    asked: Requirement, signal: str, values: Mapping[int, float], unit: str, sampled: Container[int]
+    asked: Requirement, signal: str, values: Mapping[int, float], unit: str, sampled: Container[int], rounded: float
 ) -> Checked:
-    """Hold the figure of each member against what is asked; one at the samples alone keeps no limit."""
+    """Hold the figure of each member against what is asked; one at the samples alone keeps no limit.
+
+    What it is `rounded` by is said with it, if that is not 0.
+    """
     best = asked.quantity.best
     worst = max(values, key=lambda k: values[k] if best == "at most" else -values[k])
     kept = sum(asked.met(value) and k not in sampled for k, value in values.items())
@@ -144,6 +151,7 @@ def _checked(
     label = f"{asked.figure if of_range else asked.subject[-1]} of {signal}" if signal else asked.figure
     came, limit = _texts(values[worst], asked.limit, unit, never=best == "at most")
     came += " at the samples, not known between them" * (worst in sampled)
+    came += f", known to {up(rounded)} {unit}".rstrip() * (rounded > 0)
     if asked.share is None:
         text, met = f"{label}: {came}, {best} {limit} required", kept == 1
         short = f"{label} {came} ({best} {limit})"

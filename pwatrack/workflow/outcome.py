@@ -50,6 +50,7 @@ class Outcome:
     text: str  # in words and figures
     final: str = ""  # the norm of the error in the last tenth of the time at most, with its unit
     largest: str = ""  # and at any time
+    rounded: float = 0.0  # what the simulation is uncertain by in that norm
 
     @property
     def code(self) -> ExitCode:
@@ -134,7 +135,7 @@ class RunMonitor:
     def outcome(self, figures: Figures) -> Outcome:
         """Say how the run went, the worst first; `figures` have sizes of the error that hold between samples too."""
         final, largest = self._norms(figures)
-        return replace(self._ended(figures), final=final, largest=largest)
+        return replace(self._ended(figures), final=final, largest=largest, rounded=self._rounded)
 
     def _ended(self, figures: Figures) -> Outcome:
         if (growth := self._loop.controller.trajectory.growth) is not None:
@@ -264,11 +265,16 @@ class RunMonitor:
     def _norms(self, figures: Figures) -> tuple[str, str]:
         """Return the largest norm of the error in the last tenth of the time, and of all, as text."""
         unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
-        known = float(np.linalg.norm(self._rounding(self._end) / self._loop.controller.error_sizes))
+        known = self._rounded
         of = (figures.final_error, figures.largest_error)
         said = (f"{size:.3g} {unit}".rstrip() for size in (max(value, known) for value in of))
         final, largest = (f"{text} (rounding)" * (v < known) or text for text, v in zip(said, of, strict=True))
         return final, largest
+
+    @property
+    def _rounded(self) -> float:
+        """What the simulation is uncertain by in the norm of the error."""
+        return float(np.linalg.norm(self._rounding(self._end) / self._loop.controller.error_sizes))
 
     @property
     def _norm_name(self) -> str:
