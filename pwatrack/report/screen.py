@@ -182,7 +182,7 @@ def _came_out(found: Findings) -> Iterator[Row]:
     yield from (("missed", each.text) for each in checked if not each.met)
     if result is not None:
         how, outcome = _conditions(result), result.outcome
-        error = f"{outcome.final}{result.figures.seen(*ERRORS)}"
+        error = f"{outcome.worst or outcome.final}{result.figures.seen(*ERRORS)}"
         said = f"{_ENDS.get(outcome.kind)}, largest error {error} in the last tenth; {outcome.largest} before"
         said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"

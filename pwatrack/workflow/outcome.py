@@ -50,6 +50,7 @@ class Outcome:
     text: str  # in words and figures
     final: str = ""  # the norm of the error in the last tenth of the time at most, with its unit
     largest: str = ""  # and at any time
+    worst: str = ""  # of several entries of an error that is off the one that is so most, with its unit
     rounded: float = 0.0  # what the simulation is uncertain by in that norm
 
     @property
@@ -247,7 +248,8 @@ class RunMonitor:
         share = f"{ratio:.3g} times the size" if ratio > 1 else f"{100 * ratio:.3g} %"
         share = f", {share} of reference and start, {usual}" if expected else ""
         text = f"off: |{name} − {name}_d| up to {late}{seen} {when}{share} ({worst} at worst)"
-        return Outcome(kind="off", text=text)
+        entry = f"|{name} − {name}_d| {late}" if len(self._names) > 1 else ""
+        return Outcome(kind="off", text=text, worst=entry)
 
     @property
     def _largest(self) -> Array:
