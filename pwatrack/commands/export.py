@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, certificate_text, verify
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, certificate_text, told_design, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory, Problem
@@ -22,6 +22,7 @@ from pwatrack.export.rounding import of_run
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
 from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
+from pwatrack.lmi.audit.reading import parsed as certificate_content
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
@@ -207,13 +208,14 @@ def _stored(path: Path, given: bool) -> Subject:
     """Return a controller from its file, with its proof beside it if it is there."""
     file, folder = read(path), path.parent
     certificate, unproved, spec = folder / CERTIFICATE, list(file.open), its_spec(file, folder)
-    text = certificate.read_bytes() if certificate.is_file() else b""
+    text, told = certificate.read_bytes() if certificate.is_file() else b"", False
     if not text:
         unproved.append(f"there is no {CERTIFICATE} beside it")
     elif hashlib.sha256(text).hexdigest() != file.proof:
         unproved.append(f"the {CERTIFICATE} beside it is not the one that it names")
     else:
         verify(folder, None if spec is None else spec.path)
+        told = True
     proved = json.loads(text) if text else {"K": file.K, "L": file.L}
     if any([[float(v) for v in row] for row in proved.get(of) or []] != getattr(file, of) for of in ("K", "L")):
         unproved.append("the proof is about other gains")
@@ -222,7 +224,10 @@ def _stored(path: Path, given: bool) -> Subject:
         raise InvalidSpec(f"{path}: the controller has no sample time", hint=hint)
     if spec is not None:
         again = with_gains(spec, file)
-        controller = pipeline.design(again, growing=True)
+        if told:
+            controller = told_design(spec, certificate_content(text.decode()))
+        else:
+            controller = pipeline.design(again, growing=True)
         again, runs = check_same(again, controller, file)
         found = _simulated(again, controller, runs, given, _STEPS)
         return replace(found, file=file, certificate=text.decode(), unproved=tuple(unproved), spec=spec)
@@ -242,7 +247,6 @@ def its_spec(file: ControllerFile, folder: Path) -> Spec | None:
 def certify(path: Path, out: Path) -> list[str]:
     """Write what the kernel of Coq checks of a certificate to a folder, and return the names of the files."""
     from pwatrack.export.coq import development
-    from pwatrack.lmi.audit.reading import parsed as certificate_content
 
     verify(path)
     file, text = certificate_text(path)
