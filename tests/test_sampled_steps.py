@@ -193,6 +193,15 @@ def test_with_jitter_a_step_counts_from_a_tick_that_comes_after_it_in_any_case(t
     assert ticks == [[20], [21], [21], [21]]
 
 
+def test_with_jitter_nothing_is_said_of_a_step_that_moves_x_d(tmp_path: Path) -> None:
+    """Past its tick x_d goes on as if it had not stepped, for as long as that is late: that is not walked."""
+    for acts, said in (("z: 0.4", True), ("z: {step: {size: 0.4, at: 2}}", False)):
+        text = ONE.replace("LOADS", "{drift: {into: {z: 1}}}").replace("ACTS", acts).replace("BEGINS", "{}")
+        text = text.replace("{sample_time: TICK, delay: DELAY}", "{sample_time: {nominal: 0.1, jitter: 0.002}}")
+        _, controller = designed(text.replace("TICK", "0.1"), tmp_path)
+        assert bool(controller.claims_of(SampledBounds)) == said
+
+
 def test_what_drifts_or_is_left_over_is_a_disturbance_from_0_on(tmp_path: Path) -> None:
     for acts in ("v: {step: {size: 1, at: 1, smooth: 0.5}}", "v: sin(t)", "z: {step: {size: 1, at: 1}}"):
         text = (

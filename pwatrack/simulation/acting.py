@@ -55,8 +55,9 @@ def acting(
 ) -> Acting | None:
     """Return how large what acts gets up to a time (s) of the program, substep by substep; None where not known.
 
-    It is not for very many samples, nor for an η that is played back and off (15) by more than rounding. Where inputs
-    are late it begins with x̂ = x = x_d as the first input comes. The gains of the controller are those of `errors`.
+    It is not for very many samples, nor for an η that is played back and off (15) by more than rounding, nor for loads
+    that step and move x_d where ticks come early and late. Where inputs are late it begins with x̂ = x = x_d as the
+    first input comes. The gains of the controller are those of `errors`.
     """
     gains, trajectory = errors.gains, controller.trajectory
     sampling = Sampling(sample_time=gains.sample_time, delay=gains.delay)
@@ -66,6 +67,8 @@ def acting(
     if not known or duration / gains.sample_time * gains.substeps > _MOST:
         return None
     runs, loads = program(controller, Conditions(sampling=sampling)), LoadsAlong.of(controller, conditions, gains)
+    if gains.jitter and errors.estimates is not None and any(loads.steps):
+        return None  # how x_d goes on past a tick at which one steps is not what is walked
     walk = _Walk(controller, errors, runs, loads)
     try:
         found = walk.walked(eta, duration)
@@ -157,7 +160,8 @@ class _Substeps:
         at = at + self._first
         for name, columns in rows.items():
             low, high = found.low[:, columns], found.high[:, columns]
-            self._put(np.maximum, self.most, name, at, np.maximum(np.abs(low), np.abs(high)), 0.0)
+            if name not in ("moved", "planes", "planes of x_d", "x_hat", "y"):
+                self._put(np.maximum, self.most, name, at, np.maximum(np.abs(low), np.abs(high)), 0.0)
             if name in ("nominal", "moved"):
                 self._put(np.add, self.squares, name, at, found.squares[:, columns], 0.0)
                 self._put(np.add, self.areas, name, at, found.areas[:, columns], 0.0)
