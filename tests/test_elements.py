@@ -247,7 +247,10 @@ def test_of_very_many_cells_no_tables_are_written_and_nothing_is_exported(tmp_pa
         of_spec(spec, 0.1)
 
 
-@pytest.mark.parametrize("name", ["pwatrack certificate 20", "pwatrack certificate 22", "x\n", 11, None])
+LAST = int(FORMAT.split()[-1])
+
+
+@pytest.mark.parametrize("name", [*(f"pwatrack certificate {LAST + k}" for k in (-1, 1)), "x\n", 11, None])
 def test_another_format_is_refused_by_the_names_of_both_and_what_to_do(stops: Path, tmp_path: Path, name: Any) -> None:
     """Also where all else is as it should be: an older file may hold keys, or numbers, that meant something else."""
     shutil.copytree(stops, tmp_path / "run")

@@ -119,6 +119,8 @@ def _little_phase(controller: ProvedController, margins: Margins | None) -> Iter
     most, better = max(found, default=(0.0, ""))
     if most < _WORTH * margins.phase:
         better = "halving or doubling K or L helps little: add a sensor or an actuator"
+    elif most < _LITTLE_PHASE:
+        better += "; or try a 'rate' of each"
     where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
     yield f"phase margin {np.degrees(margins.phase):.3g}°, delay {margins.delay:.2g} s, {where}; {better}"
 
