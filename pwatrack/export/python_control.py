@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.program import SampledController
+from pwatrack.control.program import SampledController, on_estimates
 from pwatrack.errors import InvalidSpec
 from pwatrack.simulation.controller_arrays import cell, memory, routine
 
@@ -53,12 +53,8 @@ def controller_system(controller: ProvedController, name: str, units: Mapping[st
     model = plant.model  # its cells are more than those of x_d where cells are merged
     A, C = np.array([matrix.floats for matrix in plant.observed.A]), plant.observed.C.floats
 
-    def on_estimates(rows: Array, more: Array) -> Array:
-        return np.concatenate([more, rows], axis=-1)  # on (ŝ, η̂, w, 1)
-
-    X = np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], N - n))
     guards, generator = on_estimates(trajectory.guards, added.guards), on_estimates(trajectory.rate, added.rate)
-    x_d, u_ff = on_estimates(trajectory.x_d, X), on_estimates(trajectory.u_ff, added.u_ff)
+    x_d, u_ff = on_estimates(trajectory.x_d, added.X.floats), on_estimates(trajectory.u_ff, added.u_ff)
 
     @lru_cache(maxsize=8)
     def reference(t: float) -> Array:

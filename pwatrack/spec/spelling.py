@@ -69,7 +69,6 @@ _IN_PYTHON: Mapping[Way, str] = {
     Way.OTHER_SOLVER: "{hint}: solver='{0}'",
     Way.GAIN_BOUND: "give a bound beside it, for example 'gain': 100, or the rate that is wanted",
     Way.FASTER_SAMPLES: "'sample_time': {0:g} (s): simulated runs died out there, which is no proof",
-    Way.SLOWER_GAINS: "slow the gains down: larger 'sizes' of outputs for L, smaller ones of inputs for K",
 }
 
 
