@@ -36,6 +36,7 @@ from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult, ensemble
 
 Shown = Literal["summary", "more", "json", "nothing"]
+_LONG = 2.0  # seconds after which a step says how long it has been at it
 
 
 def run(
@@ -93,6 +94,21 @@ def run(
         summary.print_files(console(), folder)
         console().print(", ".join(f"{step} {seconds:.2f} s" for step, seconds in made.seconds.items()))
     _check(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Going:
+    """What a step says of itself as long as it goes on: how long that is, and how many programs it has solved."""
+
+    said: str
+    solved: Mapping[str, int]
+    before: int
+    since: float = field(default_factory=time.perf_counter)
+
+    def __rich__(self) -> str:
+        count, seconds = sum(self.solved.values()) - self.before, time.perf_counter() - self.since
+        programs = f"{count:,} programs, " * (count > 0)
+        return f"{self.said}: {programs}{seconds:.0f} s" if seconds >= _LONG else self.said
 
 
 @dataclass(kw_only=True)
@@ -164,7 +180,7 @@ class _Made:
     @contextmanager
     def step(self, name: str, said: str = "") -> Iterator[None]:
         if said:
-            self.status.update(said)
+            self.status.update(_Going(said=said, solved=self.answered, before=sum(self.answered.values())))
         start = time.perf_counter()
         yield
         self.seconds[name] = round(time.perf_counter() - start, 4)
