@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -9,6 +10,8 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,3 +112,18 @@ def test_whatever_is_made_of_an_interruption_is_no_bug(number: str, code: int) -
     command = [sys.executable, "-c", ENDED.replace("NUMBER", number)]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout, ran.stderr) == (code, "", "")
+
+
+@pytest.mark.slow
+def test_on_a_terminal_a_step_that_takes_long_says_how_long(specs: Path, tmp_path: Path) -> None:
+    ours, theirs = os.openpty()
+    command = [sys.executable, "-m", "pwatrack", "design", str(specs / "two_mass_machine.yaml"), "--out", str(tmp_path)]
+    said, environment = b"", {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs, env=environment) as running:
+        os.close(theirs)
+        with suppress(OSError):  # as it ends
+            while not re.search(rb"Solving the matrix inequalities: [1-9]\d* programs, [2-9] s", said):
+                said += os.read(ours, 1000)
+            running.send_signal(signal.SIGTERM)
+    os.close(ours)
+    assert re.search(rb"inequalities: [1-9]\d* programs, [2-9] s", said), said[-500:]
