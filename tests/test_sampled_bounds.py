@@ -231,6 +231,60 @@ def test_what_acts_is_what_the_walk_shows_in_between(which: str, request: pytest
         close(acts.near[:, k], near.min(axis=1)[:, k], 0.02)
 
 
+def test_what_ticks_off_their_times_add_is_enclosed_closely(friction: tuple[Spec, ProvedController]) -> None:
+    """Of all times t within half of the jitter of each τ of a fine walk: never above, nor far off."""
+    spec, controller = friction
+    plain, plant, fine = the_bounds(controller).errors, controller.plant, 20
+    h, r = plain.gains.sample_time, plain.gains.substeps
+    theta = 2 * h / (r * fine)  # two points of the walk
+    errors = replace(plain, gains=replace(plain.gains, jitter=2 * theta))
+    acts = (asked := asking(spec, controller, errors.gains)).acting and asked.acting(controller, errors)
+    assert acts is not None
+    x_d, e, off = fine_walk(spec, controller, [], fine)
+    count, (n, m) = len(x_d), plant.B.shape
+    R, A0, cells = errors.R.floats, errors.mean.floats, np.unique(plant.A, axis=0)
+
+    def away(each: Array) -> list[Array]:
+        """Return by how much something is more at each t, in each substep, (K, fine + 1, k) each."""
+        points = np.concatenate([each[:, :-1].reshape(-1, each.shape[2]), each[-1, -1:]])
+        at = np.arange(count)[:, None] * fine + np.arange(fine + 1)
+        return [points[np.clip(at + w, 0, len(points) - 1)] - each for w in (-2, -1, 1, 2)]
+
+    def close(found: Array, least: Array, share: float) -> None:
+        """Hold what is found against the largest that was seen in each substep; none is looked at near the ends."""
+        inside, found = slice(r, count - r), found[:count]
+        assert (found[inside] >= least[inside] * (1 - 1e-6) - 1e-12).all()
+        assert found[inside].max() <= share * least[inside].max()
+
+    moved = [np.abs(each).max(axis=1) for each in away(x_d + e)]
+    for k in range(n):
+        close(acts.beside["estimate", k], np.max([each[:, k] for each in moved], axis=0), 1.3)
+    measured = np.max([np.abs(each @ plant.C.T)[:, 0, 0] for each in away(x_d + e)], axis=0)
+    first = np.arange(count) % r == 0
+    close(np.sqrt(acts.squares["noise", 0])[:count] * first, measured * first, 1.5)
+    q = np.zeros((count, n))
+    for of_x_d, of_e in zip(away(x_d), away(e), strict=True):
+        for A_m in cells:
+            for A_j in cells:
+                q = np.maximum(q, np.abs(of_x_d @ (A_m - A_j).T + of_e @ (A0 - A_j).T).max(axis=1))
+    for k in np.flatnonzero(q.max(axis=0)).tolist():
+        close(np.sqrt(acts.squares["predicted", k]), q[:, k], 1.5)
+    change, swap = np.abs(np.diff(off[:, [0, -1]].reshape(-1, m)[1:], axis=0))[::2], np.zeros((count, m))
+    share = theta / (h / r)
+    swap[1:] += change * share
+    swap[:-1] += change * share
+    close(acts.means["swap", 0], swap[:, 0], 1.3)
+    nearby = [np.abs((e + each) @ plant.tracked.T).max(axis=1) for each in away(e)]
+    close(acts.beside["output", 0], np.max(nearby, axis=0)[:, 0], 1.1)
+    means = [(((e + each) @ R.T) ** 2).mean(axis=1) for each in away(e)]
+    close(np.sqrt(acts.squares["nominal", 0]), np.sqrt(np.max(means, axis=0)[:, 0]), 2.0)
+    assert set(acts.squares) == {
+        *(("nominal", k) for k in range(2 * len(R))),
+        *((kind, 0) for kind in ("moved", "noise", "swap")),
+        *(("predicted", k) for k in np.flatnonzero(q.max(axis=0)).tolist()),
+    }
+
+
 @pytest.mark.parametrize("which", ["sampled", "friction"])
 def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
     which: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
