@@ -43,10 +43,6 @@ class OffTime:
             return each
         return np.asarray(scipy.ndimage.maximum_filter1d(each, 2 * self.near + 1, axis=0, mode="nearest"))
 
-    def least(self, each: Array) -> Array:
-        """Return the least at any t, of the least in each substep."""
-        return -self.most(-each)
-
     def means(self, squares: Array, largest: Array) -> Array:
         """Return mean squares at t, of those in each substep and of what is largest in it.
 

@@ -5,7 +5,7 @@ What no input can make up for in (3) is known exactly, as a linear condition on 
 Where a plant can rest with wanted outputs, linear equations and a cell's inequalities are solved in exact fractions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import factorial
 from typing import Any
@@ -215,23 +215,29 @@ def _equilibrium(plant: PWASystem, y: Array, i: int, sizes: Array | None, ranges
     H = np.column_stack([side * plant.partition.H[bounding], np.zeros((len(bounding), m))])
     h = side * plant.partition.h[bounding, None]
     sides, offsets, units = decimals(H), decimals(h), _scales(E, 8)[1] if sizes is None else sizes
-    z, free = found[0], found[1].ncols()
+    z, free, within = found[0], found[1].ncols(), [_within(sides, offsets, ends, n) for ends in ranges]
     if free:
-        wanted = (_nearest(found, units, *_within(sides, offsets, ends, n)) for ends in ranges)
-        tried = [_moved(found, s) for s in wanted if s is not None]
-        tried.append(_moved(found, _deepest(found, units, sides, offsets)))
-        z = next((z for z in tried if _inside(sides, offsets, z)), tried[-1])
-    if not _inside(sides, offsets, z):
-        if free:
+        inside = (z for z in _chosen(found, units, within) if _inside(sides, offsets, z))
+        if (chosen := next(inside, None)) is None:
             return f"those of cell '{name}' lie outside it"
+        z = chosen
+    elif not _inside(sides, offsets, z):
         depth = floats(sides * z + offsets)[:, 0]
         k = int(np.argmin(depth / np.linalg.norm(H, axis=1)))
         form = linear_form_text(H[k, :n] * side[k], plant.states)
         return f"that of cell '{name}' lies outside it, by {-depth[k]:.4g} in {form}"
     solution = floats(z)[:, 0]
-    beyond = sum(not _inside(*_within(sides, offsets, ends, n), z) for ends in ranges)
+    beyond = sum(not _inside(*each, z) for each in within)
     size = 0.0 if sizes is None else float(np.linalg.norm(solution / sizes))
     return _Point(x_d=solution[:n], u_ff=solution[n:], free=free, beyond=beyond, size=size)
+
+
+def _chosen(found: _Solutions, d: Array, within: Sequence[tuple[Rational, Rational]]) -> Iterator[Rational]:
+    """Yield the least solutions in units d that satisfy some inequalities, then the one that the last hold deepest."""
+    for rows, offsets in within:
+        if (s := _nearest(found, d, rows, offsets)) is not None:
+            yield _moved(found, s)
+    yield _moved(found, _deepest(found, d, *within[-1]))
 
 
 def _within(sides: Rational, offsets: Rational, ends: Array, n: int) -> tuple[Rational, Rational]:

@@ -90,7 +90,8 @@ class Acting:
     """What acts in a run, in each of its K substeps.
 
     Attributes:
-        squares: The mean of d² of each channel, but for those that are 0, (K,); of noise d² at the tick before.
+        squares: The mean of d² of each channel, but for those that are 0, (K,); of noise d² at the tick before, of
+            swaps the square of the mean of |d|.
         means: The mean of |d| of those that may be summed, likewise.
         beside: How large at most that is which signals have beside c z, (K,): that of the nominal loop.
         planes: Normals of the planes between cells, (P, n).

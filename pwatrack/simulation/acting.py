@@ -164,6 +164,7 @@ class _Substeps:
                 self._put(np.maximum, self.most, name, at, np.maximum(np.abs(low), np.abs(high)), 0.0)
             if name in ("nominal", "moved"):
                 self._put(np.add, self.squares, name, at, found.squares[:, columns], 0.0)
+            if name == "moved":
                 self._put(np.add, self.areas, name, at, found.areas[:, columns], 0.0)
             if name == "planes":
                 self._put(np.minimum, self.near, name, at, np.maximum(np.maximum(low, -high), 0.0), np.inf)
@@ -196,12 +197,12 @@ class _Walk:
         self._known = list[Array]()  # x_d of the program, likewise
         self._U, self._V = crossed(errors)
         self._planes = len(controller.plant.model.partition.H) if estimated else 0  # of which it is seen where x_d is
-        self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, errors.gains.substeps
+        self._R, self._A0, self._parts = errors.R.floats, errors.mean.floats, self._off.parts
         self._followed = errors.followed.floats
         self._differs = Differences.of_corners(errors.plant.exact, errors.corners)
         self._tracked = np.eye(len(self._A0)) if controller.tracking == "state" else controller.plant.tracked
         self._kind = controller.tracking
-        self._step = errors.gains.sample_time / self._parts
+        self._step = self._off.step
         (self._n, self._m), self._q = controller.plant.B.shape, len(self._R)
         self._flow, self._ticks = desired_flow(controller.plant, self._trajectory), 0  # those before the block
         self._e, self._largest = np.zeros(self._n), np.zeros(self._m + self._q)  # of what is held
@@ -315,8 +316,9 @@ class _Walk:
 
     def _slices(self, mode: Mode) -> dict[str, slice]:
         """Return where rows of each name are."""
-        ends = np.cumsum([0, *(len(rows) for rows in self._rows(mode).values())]).tolist()
-        return dict(zip(self._rows(mode), map(slice, ends[:-1], ends[1:]), strict=True))
+        rows = self._rows(mode)
+        ends = np.cumsum([0, *map(len, rows.values())]).tolist()
+        return dict(zip(rows, map(slice, ends[:-1], ends[1:]), strict=True))
 
     def _rows(self, mode: Mode) -> dict[str, Array]:
         """Return rows on (e₀, what is held, η̂, w, 1), by names.

@@ -58,7 +58,7 @@ def checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
 def _checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     said, sizes = check_reference(spec, facts.form), spec_sizes(spec)
     with spec.located():
-        if isinstance(spec.problem.reference, SetPoint):
+        if isinstance(spec.problem.reference, SetPoint) and spec.scenario.conditions.limits is not None:
             room_within_limits(spec, *desired_trajectory(spec, growing=False), sizes)
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         if facts.form is not None and facts.open in ([], [PRACTICAL]):  # by eigenvalues of the zero dynamics
