@@ -77,7 +77,7 @@ def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[
         known = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
         for channel, (tube, *_) in claim.tubes.items():
             for form, size in zip(seen(controller), tube.sizes, strict=True):
-                if form[0] == controller.tracking and known[channel].get(form):
+                if form[0] == controller.tracking and known.get(channel, {}).get(form):
                     times.append(size / known[channel][form])
                     c = row(claim.errors, form).floats
                     reached += [worst_found(claim, channel, c, seed) / size for seed in range(_SWITCHINGS)]
