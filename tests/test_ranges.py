@@ -1,5 +1,7 @@
 """Between what the numbers of the program are: against runs of the exported program beside an independent plant."""
 
+from dataclasses import replace
+from math import ceil, floor
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,8 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_disturbances import row
 from pwatrack.export.controller import Controller
 from pwatrack.report.files import write_design
-from tests.beside import beside
+from pwatrack.simulation.late_start import late_start
+from tests.beside import beside, moved
 from tests.test_cli import call
 from tests.test_sampled_bounds import FRICTION, MACHINE
 
@@ -198,6 +201,50 @@ def test_what_the_program_has_as_inputs_wait_is_in_its_ranges(how: str, tmp_path
     assert (np.abs(run.response.tracking_error[:, 0]) <= most[at] * (1 + 1e-9) + 1e-12).all()
     said = " ".join(text for _, text in bounds.rows(spec.words, controller))
     assert "from the start of this run on never more than" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", [name for name in LATE if "moves" not in name], indirect=True)
+def test_ticks_off_their_times_move_where_the_run_is_as_the_first_input_acts(
+    machine: tuple[Spec, ProvedController, Path],
+) -> None:
+    """x goes on for longer, or not so long, and is measured earlier and later: by as much as is said, and not far less.
+
+    Before, what is seen of x at any time that may be that of a substep is within what signals are in it.
+    """
+    spec, controller, _ = machine
+    plant, conditions, theta = controller.plant, spec.scenario.conditions, 0.004
+    errors = controller.claim(SampledBounds).errors
+    gains = replace(errors.gains, jitter=2 * theta)
+    (n, m, N, *_), d, h, r = errors.widths, gains.delay, gains.sample_time, gains.substeps
+    scenario = replace(spec.scenario, duration=0.5, sample_time=theta, conditions=replace(conditions, noise=None))
+    run = simulate(replace(spec, scenario=scenario), controller).response
+    x_hat, K, last = controller_start(spec, n), d * r, round(d * h / theta)
+    begin, quiet = (run.x[0], x_hat, run.eta_hat[0]), {"off": np.zeros(n), "noise": np.zeros(len(plant.C))}
+    found = late_start(controller, scenario.conditions, replace(errors, gains=gains), begin, **quiet)
+    exact = late_start(controller, scenario.conditions, errors, begin, **quiet)
+    assert found is not None
+    assert exact is not None
+    assert found.z[:n] == pytest.approx(exact.z[:n], abs=1e-12)
+    assert not exact.missed.any()
+    x = [run.x[0]]  # without input
+    for k in range(last + 1):
+        pushed = 0.0 if conditions.disturbance is None else conditions.disturbance((k + 0.5) * theta)
+        x.append(moved(plant, x[-1], pushed + np.zeros(n), theta / 20, 20))
+    e = np.array(x) - run.x_d[: last + 2]
+    off, own = found.off[:, :n], slice(n + m, n + m + d * N)
+    later = np.abs(np.array([e[last - 1], e[last + 1]]) - e[last]).max(axis=0)
+    assert (later <= off[:n].sum(axis=1)).all()
+    assert later[-1] >= 0.5 * off[:n].sum(axis=1)[-1]
+    assert off[own] == pytest.approx(-np.vstack([*[np.pad(off[:n], ((0, N - n), (0, 0)))] * d]), abs=1e-12)
+    y, ticks = np.array(x) @ plant.C.T, [round(k * h / theta) for k in range(1, d + 1)]
+    missed = np.abs([y[k + one] - y[k] for k in ticks for one in (-1, 1)]).max(axis=0)
+    assert (missed <= found.missed).all()
+    assert (missed >= 0.5 * found.missed).all()
+    tracked = np.abs(e @ plant.tracked.T)[:, 0]
+    for j in range(K):
+        first, end = floor((j * h / r / theta) - 1 + 1e-9), ceil(((j + 1) * h / r) / theta + 1 - 1e-9)
+        assert tracked[max(first, 0) : end + 1].max() <= found.beside["output", 0][j] * (1 + 1e-9)
 
 
 def test_a_stiff_plant_has_a_start_too(tmp_path: Path) -> None:

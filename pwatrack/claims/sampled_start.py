@@ -28,7 +28,7 @@ def from_start(
         late = None if asked.late is None else asked.late(controller, errors, noise)
         if late is None or late.substeps >= len(acts.near):
             return errors, acts
-        return _begun(errors, acts.after(late), np.column_stack([late.z, np.diag(late.off)]))
+        return _begun(errors, acts.after(late), np.column_stack([late.z, late.off]))
     starts = None if asked.begins is None else asked.begins(controller)
     if starts is None:
         return errors, acts

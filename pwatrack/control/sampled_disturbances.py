@@ -67,7 +67,8 @@ class LateStart:
 
     Attributes:
         z: Without noise, (order,).
-        off: How far z is from that at most, beside what noise adds, (order,).
+        off: What z may be more or less than that, or a share of each, beside what noise adds, (order, k).
+        missed: How much more is measured off before, by ticks off their times, (q,).
         beside: How large signals are at most in each substep before, likewise.
         along: Between what numbers of the program are there, with what noise adds, (k, 2) each.
         clear: How many sizes (x̂, ŝ) may be off more in each substep, and is in the same cells.
@@ -75,6 +76,7 @@ class LateStart:
 
     z: Array
     off: Array
+    missed: Array
     beside: Mapping[Form, Array]
     along: Mapping[str, Array]
     clear: float
@@ -122,6 +124,9 @@ class Acting:
             {channel: each if channel[0] == "noise" else each * since for channel, each in sizes.items()}
             for sizes in (self.squares, self.means)
         )
+        for k, more in enumerate(late.missed.tolist()):
+            off = np.sqrt(squares.get(("noise", k), np.zeros(len(since)))) + more * ~since
+            squares["noise", k] = off**2
         squares = {channel: each for channel, each in squares.items() if each.any()}
         return replace(self, squares=squares, means=means, late=late)
 

@@ -299,10 +299,8 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
         message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
         raise OutsideTheory(message, hint=_OTHER)
     if ranges is None:
-        why = "see 'sampled loop' of the design"
-        if bounds is not None and program.sampling.delay and program.sampling.jitter:
-            why = "where ticks come early and late it is not known what becomes of a start before the first late input"
-        raise CheckFailed(f"{_REFUSED}between what its numbers are is not proved: {why}", hint=_OTHER)
+        message = f"{_REFUSED}between what its numbers are is not proved: see 'sampled loop' of the design"
+        raise CheckFailed(message, hint=_OTHER)
     proved, started = runs(code.file), code.file.started
 
     def within(room: float) -> Rounding:

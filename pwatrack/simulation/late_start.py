@@ -8,6 +8,10 @@ substep that x̃ begins in cell a, and c in cell 0, let ν' = A_a ν for what no
     ε' = A_a ε + g,   g = (A_a − A₀) c + b_a − b₀
 
 so |ε| ≤ e^(|A_a| τ) (|ε(0)| + τ sup |g|) all along a substep τ, and 0 where nothing but cell 0 is near.
+
+Where ticks are up to θ off their times, as in `control.off_time`, c is what is predicted from y at these times. So y is
+measured off by θ sup |C x'| more; and as the first input acts e = x − x_d is off what it is at its time by θ sup |e'|,
+all x̃ − x by the same, with the other sign.
 """
 
 from dataclasses import replace
@@ -19,6 +23,7 @@ from scipy.linalg import block_diag, expm
 from pwatrack.arrays import OVER_SUMS, Array, IntArray
 from pwatrack.control.bounds import Form
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.off_time import OffTime
 from pwatrack.control.program import program
 from pwatrack.control.sampled_disturbances import LateStart, joined
 from pwatrack.control.sampled_error import SampledErrors
@@ -45,7 +50,7 @@ def late_start(
     off: Array,
     noise: Array,
 ) -> LateStart | None:
-    """Return what a run is like as its first input acts; None where its ticks jitter, or that is not found.
+    """Return what a run is like as its first input acts; None where that is not found.
 
     Args:
         controller: With the gains of `errors`.
@@ -55,8 +60,6 @@ def late_start(
         off: How far x̂(0) may be from that, (n,).
         noise: How much is measured off at most, (q,).
     """
-    if errors.gains.jitter:
-        return None
     try:
         with np.errstate(all="ignore"):  # what is out of range is not found
             return _Waiting(controller, conditions, errors, start).found(off, noise)
@@ -65,7 +68,7 @@ def late_start(
 
 
 class _Waiting:
-    """The walk of (x, η, w, disturbance, 1) up to the first input, and the predictions c beside it."""
+    """The walk of (x, η, w, disturbance, 1) as long as no input may act, and the predictions c beside it."""
 
     def __init__(
         self,
@@ -79,7 +82,7 @@ class _Waiting:
         self._runs = program(controller, Conditions(sampling=sampling))
         self._controller, self._errors = controller, errors
         self._parts, self._step = gains.substeps, gains.sample_time / gains.substeps
-        self._count = gains.delay * gains.substeps
+        self._count, self._late = gains.delay * gains.substeps, OffTime.of(gains)
         loads = LoadsAlong.of(controller, conditions, gains)  # what steps as the first input acts steps after it
         self._loads = replace(loads, steps={tick: s for tick, s in loads.steps.items() if tick < gains.delay})
         self._trajectory, self._n = with_loads(controller, self._loads), len(x)
@@ -104,8 +107,9 @@ class _Waiting:
         guards, signs = self._wide(trajectory.guards, order), trajectory.signs
         of_x_d = SwitchedPart(name="x_d", cells=model.cell_names, guards=guards, signs=signs, F=moves)
         flow = Flow(F0=F0, parts=(SwitchedPart.of("plant", plant, np.eye(n, order), field), of_x_d))
-        z0, times = np.concatenate([x, self._eta, w.w0, d, [1.0]]), {"duration": self._count * self._step}
-        return flow, next(trace_blocks(flow, z0, **times, sample_time=self._step, resets=resets, most=self._count + 1))
+        z0, count = np.concatenate([x, self._eta, w.w0, d, [1.0]]), self._count + self._late.near
+        times = {"duration": count * self._step, "sample_time": self._step}
+        return flow, next(trace_blocks(flow, z0, **times, resets=resets, most=count + 1))
 
     def _wide(self, rows: Array, order: int) -> Array:
         """Return rows on (η, w, 1) as rows on all that is walked."""
@@ -114,20 +118,22 @@ class _Waiting:
         return found
 
     def _predicted(self, y: Array) -> tuple[Array, IntArray, Array]:
-        """Return the predictions as each substep begins, (K, d, N), in which cells they are, and they in the end.
+        """Return the predictions as each substep begins, (K, d, N), in which cells, and those as the first input comes.
 
         The newest comes first; up to the tick at which one is made it is the start of the observer.
         """
         runs, (m, n) = self._runs, self._runs.K.shape
         v, found, where = np.tile(self._x_hat, (runs.sampling.delay, 1)), list[Array](), list[IntArray]()
-        for j in range(self._count):
+        ends = [v]
+        for j in range(len(y) - 1):
             if j % self._parts == 0:
                 v = np.vstack([v[0] + runs.M @ (runs.C @ v[0] - y[j]), v[:-1]])
             found.append(v)
             where.append(cells(runs.signs, v[:, :n] @ runs.H.T + runs.h))
             known = np.pad(np.pad(v, ((0, 0), (m, 0))), ((0, 0), (0, 1)), constant_values=1.0)
             v = np.einsum("dNk,dk->dN", runs.observer[where[-1]], known)
-        return np.array(found), np.array(where), v
+            ends.append(v)
+        return np.array(found), np.array(where), ends[self._count]
 
     @cached_property
     def _laws(self) -> Array:
@@ -138,7 +144,7 @@ class _Waiting:
         return F
 
     def _segments(self) -> tuple[IntArray, Segments]:
-        """Return the substep of each segment before the first input, and segments with predictions before ζ."""
+        """Return the substep of each segment, and segments with predictions before ζ."""
         segments, laws, (K, d, N) = Segments.of(self._flow, self._trace), self._laws, self._c.shape
         before = segments.t < (K - _ON_TICK) * self._step
         t, number, order = segments.t[before], segments.number[before], segments.F.shape[1]
@@ -164,55 +170,69 @@ class _Waiting:
         )
 
     def _rows(self, mode: Mode) -> Array:
-        """Return rows on (predictions, what is walked): what is tracked, −u_ff, the newest x̃ − x, y, predictions."""
+        """Return rows on (predictions, what is walked).
+
+        They are what is tracked, −u_ff, the newest x̃ − x, y; x', y' and e'; and predictions.
+        """
         (d, N), n, order, plant = self._c.shape[1:], self._n, self._trace.z.shape[1], self._controller.plant
-        x, seen = np.eye(n, order), np.eye(d * N, d * N + order)
+        x, seen, turns = np.eye(n, order), np.eye(d * N, d * N + order), self._flow.matrix(mode[:2])
         e = x - self._wide(self._trajectory.x_d[mode[1]], order)
         tracked = e if self._controller.tracking == "state" else plant.tracked @ e
         walked = [tracked, -self._wide(self._trajectory.u_ff[mode[1]], order), -x, plant.C @ x]
+        walked += [rows @ turns for rows in (x, plant.C @ x, e)]
         found = np.vstack([np.pad(np.vstack(walked), ((0, 0), (d * N, 0))), seen])
         found[len(tracked) + plant.B.shape[1] :][:n] += seen[:n]
         return found
 
     def found(self, off: Array, noise: Array) -> LateStart | None:
         """Return what is asked for, from x̂(0) that may be so far off, with so much that is measured off."""
-        (K, d, N), (n, m) = self._c.shape, self._controller.plant.B.shape
+        (walked, d, N), (n, m), q, K = self._c.shape, self._controller.plant.B.shape, len(noise), self._count
         at, segments = self._segments()
-        each = spans(segments, self._rows)
-        low, high = (np.full((K, each.low.shape[1]), end) for end in (np.inf, -np.inf))
-        np.minimum.at(low, at, each.low)
-        np.maximum.at(high, at, each.high)
-        ends = np.stack([low, high])
-        first = ends.shape[2] - d * N
-        c, tracked = ends[:, :, first:].reshape(2, K, d, N), first - len(noise) - n - m
-        between, kept, last, clear = self._off(c, off, noise)
-        if not np.isfinite(between).all():
+        each, kind = spans(segments, self._rows), self._controller.tracking
+        ends = np.full((2, walked, each.low.shape[1]), [[[np.inf]], [[-np.inf]]])
+        np.minimum.at(ends[0], at, each.low)
+        np.maximum.at(ends[1], at, each.high)
+        tracked = ends.shape[2] - d * N - 2 * (n + q) - n - m
+        signals, y, rates, c = np.split(ends, np.cumsum([tracked + m + n, q, 2 * n + q]), axis=2)
+        most, rates = (self._late.most(np.abs(some).max(axis=0))[:K] for some in (signals, rates))
+        moved = np.split(self._late.theta * rates, [n, n + q], axis=1)  # x, y and e, up to half of the jitter later
+        missed = moved[1].max(axis=0)
+        between, kept, last, clear = self._off(c[:, :K].reshape(2, K, d, N), off, noise + missed)
+        if not (np.isfinite(between).all() and np.isfinite(missed).all()):
             return None
-        most, kind = np.abs(ends[:, :, : tracked + m + n]).max(axis=0), self._controller.tracking
-        most[:, tracked + m :] += between[:, 0, :n]
+        most[:, tracked + m :] += between[:, 0, :n] + moved[0]
         forms: list[Form] = [*((kind, k) for k in range(tracked)), *(("input", k) for k in range(m))]
         forms += [("estimate", k) for k in range(n)]
         made = np.arange(d) <= np.arange(K)[:, None] // self._parts  # a prediction that there is
-        y, start = slice(first - len(noise), first), np.pad(off, (0, N - n))
+        c, start = c[:, :K].reshape(2, K, d, N), np.pad(off, (0, N - n))
         seen = joined(
             _hull(np.stack([c[0] - kept, c[1] + kept])[:, made]),
             np.column_stack([self._x_hat - start, self._x_hat + start]),
         )
-        measured = _hull(np.stack([ends[0, :, y] - noise, ends[1, :, y] + noise]))
-        along = {"x_hat": seen[:n], "y": measured, "u": np.zeros((m, 2))}
+        along = {"x_hat": seen[:n], "y": _hull(np.stack([y[0] - noise, y[1] + noise])), "u": np.zeros((m, 2))}
         return LateStart(
             z=self._z,
-            off=np.concatenate([np.zeros(n + m), last.ravel(), np.zeros(self._errors.order - n - m - d * N)]),
+            off=np.hstack(
+                [self._later(moved[2][-1]), np.eye(self._errors.order)[:, n + m :][:, : d * N] * last.ravel()]
+            ),
+            missed=missed,
             beside=dict(zip(forms, most.T, strict=True)),
             along=along | ({"s_hat": seen[n:]} if n < N else {}),
             clear=clear,
         )
 
+    def _later(self, moved: Array) -> Array:
+        """Return what z may be off as e may have moved by so much, (order, n): all x̃ − x have by the same."""
+        (d, N), (n, m) = self._c.shape[1:], self._controller.plant.B.shape
+        e = np.diag(moved)
+        own = np.vstack([-e, np.zeros((N - n, n))])
+        return np.vstack([e, np.zeros((m, n)), *[own] * d, np.zeros((self._errors.order - n - m - d * N, n))])
+
     @property
     def _z(self) -> Array:
         """z just before the first input acts, without noise."""
-        (d, N), (n, m), end = self._c.shape[1:], self._controller.plant.B.shape, self._trace.z[-1]
-        z, x_d = np.zeros(self._errors.order), self._trajectory.x_d[self._trace.modes[-1, 1]]
+        (d, N), (n, m), end = self._c.shape[1:], self._controller.plant.B.shape, self._trace.z[self._count]
+        z, x_d = np.zeros(self._errors.order), self._trajectory.x_d[self._trace.modes[self._count, 1]]
         z[:n] = end[:n] - self._wide(x_d, len(end)) @ end
         loads = n + len(self._eta) + len(self._trajectory.exosystem.w0)
         z[n + m : n + m + d * N] = (self._last - np.concatenate([end[:n], end[loads - (N - n) : loads]])).ravel()
@@ -227,7 +247,7 @@ class _Waiting:
         Then how far all predictions are off c as they begin and end, likewise; ε in the end, (d, N); and how many sizes
         more they may be off in each substep, and no other cell is met.
         """
-        (K, d, N), runs, laws, sizes = self._c.shape, self._runs, self._laws, self._controller.sizes
+        (_, K, d, N), runs, laws, sizes = c.shape, self._runs, self._laws, self._controller.sizes
         keeps, (between, kept), clear = np.abs(np.eye(N) + runs.M @ runs.C), np.zeros((2, K, d, N)), np.inf
         r, more, added = np.zeros((3, d, N))  # ε, what noise adds, and what a size more at each tick does
         r[:, : self._n] = off
