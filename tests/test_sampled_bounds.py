@@ -20,6 +20,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.tube_search import TubeSearch
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import program
@@ -137,6 +138,99 @@ def test_no_switching_and_nothing_that_acts_is_above_a_tube(seed: int, sampled: 
             assert 0.05 * one.sizes[0] < found <= one.sizes[0]
 
 
+@pytest.fixture(scope="module")
+def together(sampled: tuple[Spec, ProvedController]) -> ProvedController:
+    """The same controller with one tube for all that acts between ticks; of others there is one."""
+    _, controller = sampled
+    claim, proof = the_bounds(controller), controller.claim(SampledLoop).proof
+    assert proof is not None
+    tubes, sizes = TubeSearch.of(controller, claim.forms, claim.errors, proof).together(claim.acts)
+    joined = replace(claim, tubes=tubes, together=sizes)
+    return replace(controller, claims=tuple(joined if one is claim else one for one in controller.claims))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_channels_are_below_the_tube_that_they_have_together(seed: int, together: ProvedController) -> None:
+    """For one switching each does its worst, and each has what share of d² makes the sum largest."""
+    claim, c = the_bounds(together), row(the_bounds(together).errors, ("output", 0)).floats
+    (sizes,), (one,) = claim.together, claim.tubes["together", 0]
+    assert {kind for kind, _ in sizes} == {"nominal", "moved", "disturbance", "input"}
+    assert claim.tubes.keys() == {("together", 0), ("noise", 0), ("start", 0)}
+    each = [size * worst_found(claim, of, c, seed) for of, size in sizes.items()]
+    assert 0.05 * one.sizes[0] < np.linalg.norm(each) <= one.sizes[0]
+
+
+def test_a_tube_together_says_about_what_one_for_each_channel_says(
+    sampled: tuple[Spec, ProvedController], together: ProvedController
+) -> None:
+    """That of most of what is left is as large; others give way a little. The largest causes are the same."""
+    spec, controller = sampled
+    own, joined = the_bounds(controller), the_bounds(together)
+    for form in (("output", 0), ("input", 0)):
+        ends, others = own.ends_below(controller)[form], joined.ends_below(together)[form]
+        assert 0.7 * ends < others < 1.2 * ends
+        by = own.ends_by(controller, form), joined.ends_by(together, form)
+        causes = [max(one, key=lambda at: one[at]) for one in by]
+        assert causes[0] == causes[1]
+        assert sum(by[1].values()) < 1.01 * others
+        assert (joined.from_start[form] < 1.5 * own.from_start[form]).all()
+    told = [one.figures(spec.words, controller)["sampled_bounds"]["per_1"] for one in (own, joined)]
+    assert told[0].keys() == told[1].keys()
+    for name, each in told[0].items():
+        assert all(told[1][name][signal] > 0.5 * most for signal, most in each.items()), name
+
+
+def test_a_tube_together_is_in_the_certificate(
+    sampled: tuple[Spec, ProvedController], together: ProvedController
+) -> None:
+    spec, _ = sampled
+    content, claim = design_certificate(spec, together), the_bounds(together)
+    said, faults = audit(json.dumps(content))
+    assert not faults
+    assert "the sampled loop: what 5 disturbances, noises and inputs leave is proved" in said
+    (told,) = SampledBounds.read(content, together, asking(spec, together, claim.errors.gains))
+    assert told.data(together) == claim.data(together)
+    assert told.ends_below(together) == claim.ends_below(together)
+    acts = content["sampled_bounds"][0]["acts"]
+    for one in acts:
+        forged = copy.deepcopy(content)
+        forged["sampled_bounds"][0]["acts"][acts.index(one)]["size"] = f"{100 * float(one['size']):.3g}"
+        assert audit(json.dumps(forged))[1], one
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("summed", [False, True])
+def test_scalars_beside_what_edges_see_stay_in_their_tube(summed: bool, seed: int) -> None:
+    """Two act beside z₁ and z₂, which an edge of a box sees; the other one by itself: for any ε(t) and ‖d‖ ≤ 1."""
+    random = np.random.default_rng(seed)
+    A, u, v = np.array([[-2.0, 1.0], [-1.0, -3.0]]), np.array([[0.6], [0.3]]), np.array([[0.5, -0.7]])
+    E, G = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, 0.0]]), np.array([[0.0, 0.0, 0.4], [0.2, 0.0, 0.0]])
+    F, U, V, J, rows = (BallMatrix.of(X) for X in (A, u, v, 0.9 * np.eye(2), np.eye(2)))
+    system = Clocked(F=[F], U=[U], V=[V], J=[J], period=Fraction("0.2"))
+    program, whole = (
+        TubeProgram(system=system, near=np.eye(2), knots=2),
+        Drive(held=BallMatrix.of(E), between=BallMatrix.of(G)),
+    )
+    found, half = (
+        tube(program, drive, rows, np.ones(2), 1.5, summed=summed) for drive in (whole, Drive.together([whole], [0.5]))
+    )
+    assert found is not None
+    assert half is not None
+    assert np.array(half.sizes) == pytest.approx(0.5 * np.array(found.sizes), rel=0.02)
+    z, most, dt = np.zeros((200, 2)), np.zeros(2), 0.01
+    for k in range(400):
+        eps, d = random.choice([-1, 1], size=(200, 1)), random.normal(size=(200, 3))
+        d /= np.linalg.norm(d, axis=1)[:, None]
+        acting = d / dt * (k == 7) if summed else d
+        moved = z + acting @ E.T
+        z = z + dt * (moved @ A.T + eps * (moved @ v.T) @ u.T + acting @ G.T)
+        if k % 20 == 19:
+            z = 0.9 * z
+        most = np.maximum(most, np.abs(z).max(axis=0))
+    assert (most <= found.sizes).all()
+    assert (most >= 0.02 * np.array(found.sizes)).all()
+
+
 @pytest.mark.parametrize("kind", ["noise", "disturbance", "moved"])
 def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance", "moved"]) -> None:
     """V' = −a V + a d², V⁺ = (1 − b) V + b d², v' = −(a / 2) v + |d|, for d that jumps eight times in a substep."""
@@ -164,7 +258,7 @@ def test_a_level_is_above_what_v_can_come_to(kind: Literal["noise", "disturbance
         sizes=(),
         summed=kind == "moved",
     )
-    found, V, dt = level(acts, (kind, 0), one, gains), 0.0, 0.1 / fine
+    found, V, dt = level(acts.together({(kind, 0): 1.0}, one, {}), one, gains), 0.0, 0.1 / fine
     for k in range(K):
         if kind == "noise" and k % parts == 0:
             V = 0.8 * V + 0.2 * d[k, 0] ** 2
@@ -596,15 +690,15 @@ def test_tubes_are_in_the_certificate_and_read_again(
 
 def exchange(tubes: Any, one: str, other: str) -> None:
     """Say of each of two tubes that it is of the channel of the other."""
-    first, second = (next(tube for tube in tubes if tube["channel"][0] == kind) for kind in (one, other))
-    first["channel"], second["channel"] = second["channel"], first["channel"]
+    first, second = (next(tube for tube in tubes if tube["acts"][0]["channel"][0] == kind) for kind in (one, other))
+    first["acts"], second["acts"] = second["acts"], first["acts"]
 
 
 FORGED: dict[str, Callable[[Any], Any]] = {
     "a smaller bound": lambda t: t[0]["signals"][0].__setitem__(2, "1e-9"),
-    "another channel": lambda t: t[0].update(channel=["disturbance", 0]),
-    "a channel that there is not": lambda t: t[0].update(channel=["disturbance", 9]),
-    "one of another kind": lambda t: t[0].update(channel=["start", 0]),
+    "another channel": lambda t: t[0]["acts"][0].update(channel=["disturbance", 0]),
+    "a channel that there is not": lambda t: t[0]["acts"][0].update(channel=["disturbance", 9]),
+    "one of another kind": lambda t: t[0]["acts"][0].update(channel=["start", 0]),
     "one twice": lambda t: t.append(t[0]),
     "another a": lambda t: t[0].update(a="3"),
     "summed where it is not": lambda t: t[0].update(summed=1),
@@ -617,11 +711,15 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "knots in another order": lambda t: t[0]["Q"].reverse(),
     "no Q": lambda t: t[0].update(Q=[]),
     "a smaller Q": lambda t: t[0]["Q"].__setitem__(0, t[1]["Q"][0]),
-    "b of 1": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="1"),
-    "another b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0.5"),
+    "b of 1": lambda t: t[[one["acts"][0]["channel"][0] for one in t].index("noise")].update(b="1"),
+    "another b": lambda t: t[[one["acts"][0]["channel"][0] for one in t].index("noise")].update(b="0.5"),
     "steps for the nominal loop": lambda t: exchange(t, "input", "nominal"),
     "what moves for the nominal loop": lambda t: exchange(t, "moved", "nominal"),
-    "no b": lambda t: t[[one["channel"][0] for one in t].index("noise")].update(b="0"),
+    "of nothing": lambda t: t[0].update(acts=[]),
+    "of a size of 0": lambda t: t[0]["acts"][0].update(size="0"),
+    "of a larger size": lambda t: t[0]["acts"][0].update(size="1.1"),
+    "at ticks and between": lambda t: t[0]["acts"].append({"channel": ["noise", 0], "size": "1e-9"}),
+    "no b": lambda t: t[[one["acts"][0]["channel"][0] for one in t].index("noise")].update(b="0"),
 }
 
 
@@ -727,10 +825,10 @@ def test_what_is_merged_is_in_the_certificate_of_the_sampled_loop(merged: tuple[
     assert f"the sampled loop: what {channels} disturbances, noises and inputs leave is proved" in said
     (told,) = SampledBounds.read(content, controller, asking(spec, controller, the_bounds(controller).errors.gains))
     assert told.data(controller) == the_bounds(controller).data(controller)
-    number = [entry["channel"][0] for entry in content["sampled_bounds"]].index("deviation")
+    number = [entry["acts"][0]["channel"][0] for entry in content["sampled_bounds"]].index("deviation")
     for forged in (["deviation", 1], ["disturbance", 0]):
         other = copy.deepcopy(content)
-        other["sampled_bounds"][number]["channel"] = forged
+        other["sampled_bounds"][number]["acts"][0]["channel"] = forged
         assert audit(json.dumps(other))[1]
     runs = {"all cells": "merged cells", "merged cells": "all cells"}
     content["practical"]["observer_runs"] = runs[content["practical"]["observer_runs"]]

@@ -222,9 +222,11 @@ def test_the_auditor_agrees(loop: tuple[str, Spec, ProvedController, SampledBoun
     assert not faults
     assert [one for one in said if one.startswith("the sampled loop: what ")]
     for tube in content["sampled_bounds"]:
-        if tube["channel"][0] == "eta":
+        if tube["acts"][0]["channel"][0] == "eta":
             for changed in (["noise", 0], ["eta", 1], ["eta", -1]):
-                forged = copy.deepcopy(content | {"sampled_bounds": [tube | {"channel": changed}]})
+                forged = copy.deepcopy(
+                    content | {"sampled_bounds": [tube | {"acts": [{"channel": changed, "size": "1"}]}]}
+                )
                 assert audit(json.dumps(forged))[1]
 
 

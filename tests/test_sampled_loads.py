@@ -511,7 +511,7 @@ def test_the_auditor_agrees_with_tubes_and_refuses_forged_ones(
     content = json.loads(json.dumps(design_certificate(spec, controller)))
     channels: list[Channel] = [("disturbance", 0), ("noise", 0)]
     for channel in channels:  # one by one: a small file may not ask for much
-        (tube,) = [one for one in content["sampled_bounds"] if one["channel"] == list(channel)]
+        (tube,) = [one for one in content["sampled_bounds"] if one["acts"][0]["channel"] == list(channel)]
         said, faults = audit(json.dumps(content | {"sampled_bounds": [tube]}))
         assert not faults
         assert "the sampled loop: what 1 disturbances, noises and inputs leave is proved" in said

@@ -174,7 +174,9 @@ def test_the_auditor_agrees(loop: tuple[str, Spec, ProvedController, SampledBoun
     content = json.loads(json.dumps(design_certificate(spec, controller)))
     assert not audit(json.dumps(content))[1]
     for forge in FORGED.values() if name == "bent" else ():  # of the others it takes long, and is found out likewise
-        forged = copy.deepcopy(next(tube for tube in content["sampled_bounds"] if tube["channel"][0] == "load"))
+        forged = copy.deepcopy(
+            next(tube for tube in content["sampled_bounds"] if tube["acts"][0]["channel"][0] == "load")
+        )
         forge(forged)
         assert audit(json.dumps(content | {"sampled_bounds": [forged]}))[1]
 

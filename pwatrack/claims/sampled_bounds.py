@@ -9,11 +9,11 @@ Where a prediction begins and ends in one cell, moving drives nothing. A bound o
 in which substeps that is so; then less is driven, which makes that bound less, and so on.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, Context
 from functools import cached_property, reduce
-from itertools import islice, product
+from itertools import product
 from math import ceil
 from typing import Any, ClassVar, Self
 
@@ -21,23 +21,14 @@ import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims import tube_text
 from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.channel_text import channel_text
-from pwatrack.claims.exact_text import (
-    decimal,
-    diagonals,
-    double,
-    packed,
-    packed_forms,
-    read_channel,
-    read_diagonals,
-    read_signals,
-    signals,
-)
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.claims.sampled_start import from_start, of_this_start
-from pwatrack.claims.tube_search import TubeSearch
+from pwatrack.claims.tube_search import KINDS, TubeSearch
+from pwatrack.claims.tube_text import Sizes
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
 from pwatrack.control.off_time import OffTime
@@ -65,12 +56,14 @@ class TubeBounds(Claim):
         acts: On them in the run.
         tubes: Of each channel, those that are proved: the one that says less counts.
         forms: What the sizes of a tube are of.
+        together: Channels that have one tube together: in `tubes` the k-th of these is ("together", k).
     """
 
     errors: SampledErrors = field(repr=False)
     acts: Acting = field(repr=False)
     tubes: Mapping[Channel, tuple[Tube, ...]]
     forms: tuple[Form, ...]
+    together: tuple[Sizes, ...] = ()
 
     KEY: ClassVar[str]
 
@@ -84,45 +77,52 @@ class TubeBounds(Claim):
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
-            few = replace(acts, means={one: each for one, each in acts.means.items() if one[0] in SUMMED})
-            # and where that is too much without the start, from which nothing is said then
-            last = replace(few, squares={one: each for one, each in acts.squares.items() if one[0] != "start"})
-            ways = product((acts, few, last), (replace(errors, few=_CORNERS), errors))
-            unknowns = len(proof.P) * errors.order * (errors.order + 1) // 2
-            affordable = ((each, opened) for each, opened in ways if _affordable(each, opened, unknowns))
-            for each, opened in islice(affordable, 1):
-                found = replace(found, tubes=TubeSearch.of(controller, found.forms, opened, proof).tubes(each))
+            few, opened = found._sought(proof)
+            if opened is not None:
+                search = TubeSearch.of(controller, found.forms, opened, proof)
+                tubes, together = search.together(acts) if few is None else (search.tubes(few), ())
+                found = replace(found, tubes=tubes, together=together)
             yield found
+
+    def _sought(self, proof: ClockedProof) -> tuple[Acting | None, SampledErrors | None]:
+        """Return for which of what acts tubes are looked for, all if not said, and with which boxes; none is too much.
+
+        All have one each, or but one each, or none for the start, from which nothing is said then, or one together.
+        """
+        acts, opened = self.acts, replace(self.errors, few=_CORNERS)
+        few = replace(acts, means={one: each for one, each in acts.means.items() if one[0] in SUMMED})
+        last = replace(few, squares={one: each for one, each in acts.squares.items() if one[0] != "start"})
+        unknowns = len(proof.P) * self.errors.order * (self.errors.order + 1) // 2
+        for each, errors in product((acts, few, None, last), (opened, self.errors)):
+            tubes = KINDS if each is None else len([*each.squares, *each.means])
+            if tubes * work(errors) <= _MOST and tubes * unknowns**3 <= _LONGEST:
+                return each, errors
+        return None, None
 
     @classmethod
     def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Self]:
-        tubes = dict[Channel, tuple[Tube, ...]]()
-        for entry in content[cls.KEY]:
-            channel = read_channel(entry["channel"])
-            tubes[channel] = (*tubes.get(channel, ()), _read_tube(entry))
-        told = {read_channel(entry["channel"]): entry["start"] for entry in content[cls.KEY] if "start" in entry}
+        entries, told = tube_text.read(content[cls.KEY])
         for _, errors, acts in cls.known(controller, asked):
-            known, errors = of_this_start(tubes, told, errors)
-            if not known.keys() <= acts.squares.keys():
-                raise ValueError("a tube is of something that does not act")
-            yield cls(errors=errors, acts=acts, tubes=known, forms=tuple(seen(controller)))
+            same, errors = of_this_start(told, errors)
+            tubes, together = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
+            for whole, tube in entries:
+                of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
+                if not of.keys() <= acts.squares.keys():
+                    raise ValueError("a tube is of something that does not act")
+                alone = [*whole.values()] == [1.0]
+                together += [] if alone else [of]
+                channels: Iterable[Channel] = of if alone else [("together", len(together) - 1)]
+                tubes |= {channel: (*tubes.get(channel, ()), tube) for channel in channels}
+            forms = tuple(seen(controller))
+            yield cls(errors=errors, acts=acts, tubes=tubes, forms=forms, together=tuple(together))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        entries = [
-            {
-                "channel": list(channel),
-                "a": decimal(one.a),
-                "b": decimal(one.b),
-                "summed": int(one.summed),
-                "Q": [packed(Q) for Q in one.Q],
-                "T": diagonals(one.T),
-                "signals": signals(zip(self.forms, one.sizes, strict=True)),
-            }
-            | ({"start": self._starts[channel[1]].transpose().texts[0]} if channel[0] == "start" else {})
-            for channel, each in self.tubes.items()
-            for one in each
-        ]
-        return {self.KEY: entries}
+        each = ((self._of(channel), tube) for channel, tubes in self.tubes.items() for tube in tubes)
+        return {self.KEY: list(tube_text.told(each, self.forms, self._starts))}
+
+    def _of(self, channel: Channel) -> Sizes:
+        """Return which channels a tube is of."""
+        return self.together[channel[1]] if channel[0] == "together" else {channel: 1.0}
 
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
         """Return below what each signal is in the end of the run, if what its start left is gone.
@@ -133,14 +133,15 @@ class TubeBounds(Claim):
         return {form: _above(float(most[last].max())) for form, most in self.from_zero.items()}
 
     def ends_by(self, controller: ProvedController, form: Form) -> dict[Channel, float]:
-        """Return what each channel leaves of a signal there at most, by itself."""
-        k, last = self.forms.index(form), self._last(controller)
-        return {
-            channel: min(
-                float((V[last] * one.sizes[k]).max()) for V, one in zip(each, self.tubes[channel], strict=True)
-            )
-            for channel, each in (self._settled or {}).items()
-        }
+        """Return what each channel leaves of a signal there at most; of those with one tube the share of it."""
+        k, last, found = self.forms.index(form), self._last(controller), dict[Channel, float]()
+        for channel, each in (self._settled or {}).items():
+            tubes = self.tubes[channel]
+            most = min(float((V[last] * one.sizes[k]).max()) for V, one in zip(each, tubes, strict=True))
+            acts = {one: size for one, size in self._of(channel).items() if one in self.acts.squares}
+            parts = {one: float(np.sqrt(self.acts.squares[one].max())) / size for one, size in acts.items()}
+            found |= {one: most * part / sum(parts.values()) for one, part in parts.items()}
+        return found
 
     def _last(self, controller: ProvedController) -> slice:
         """Return the substeps of the end of the run."""
@@ -233,15 +234,17 @@ class TubeBounds(Claim):
 
         None where something has no tube.
         """
-        found, gains = dict[Channel, list[Array]](), self.errors.gains
-        wanted = [channel for channel in self.acts.squares if start or channel[0] != "start"]
-        if not self.tubes.keys() >= set(wanted):
-            return None
-        crossing = {"moved": where[0], "drawn": where[1], "cell": where[1], "eta": where[1]}
-        for channel in wanted:
-            acting = crossing.get(channel[0], 1.0)
-            found[channel] = [level(self.acts, channel, one, gains, acting) for one in self.tubes[channel]]
-        return found
+        found, left = dict[Channel, list[Array]](), {one for one in self.acts.squares if start or one[0] != "start"}
+        acting = {"moved": where[0], "drawn": where[1], "cell": where[1], "eta": where[1]}
+        for channel, tubes in self.tubes.items():
+            if channel[0] == "rounding":
+                found[channel] = [np.sqrt(self.acts.squares[channel])] * len(tubes)
+                left.discard(channel)
+            elif of := {one: size for one, size in self._of(channel).items() if one in left}:
+                each = ((self.acts.together(of, tube, acting), tube) for tube in tubes)
+                found[channel] = [level(d, tube, self.errors.gains) for d, tube in each]
+                left -= of.keys()
+        return None if left else found
 
     def _off(self, levels: Mapping[Channel, Sequence[Array]] | None, rows: Array) -> Array:
         """Return what some rows (A, P, order) read off z at most, the largest of each A, (K, P)."""
@@ -313,9 +316,10 @@ class TubeBounds(Claim):
                 "acts": {name: {"at_most": size, "unit": unit} for name, size, unit in acts.values()},
                 "per_1": {
                     acts[channel][0]: {
-                        words.signal(form)[0]: size for form, size in zip(self.forms, one.sizes, strict=True)
+                        words.signal(form)[0]: most / size for form, most in zip(self.forms, one.sizes, strict=True)
                     }
-                    for channel, (one, *_) in self.tubes.items()
+                    for key, (one, *_) in self.tubes.items()
+                    for channel, size in self._of(key).items()
                     if channel in acts
                 },
                 **{
@@ -364,7 +368,9 @@ class SampledBounds(TubeBounds):
         "of d^2, with weights that fall as e^(-a t), or by 1 - b at ticks. With summed, in place of the terms with r "
         "and h, g g^T < Q_e at all knots, for g at all corners, or h h^T < Q_0: so the root of z^T Q^-1 z is at most "
         "the integral of |d|, with weights that fall as e^(-a t / 2), or the sum, with weights that fall by the root "
-        "of 1 - b."
+        "of 1 - b. Where several have one tube, d^2 is the sum of the squares of what each is of its size, with the "
+        "matrices of all their columns times these sizes for g, h and q, and (a I - q^T T_e^-1 q)^-1 between g and "
+        "g^T; summed is the root of it."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_bounds": []}
     KEY: ClassVar[str] = "sampled_bounds"
@@ -400,14 +406,9 @@ class SampledBounds(TubeBounds):
                 yield "", f"{begins} never more than {', '.join(always)}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
-            tried = "found" if self.tubes else "looked for, which takes too long,"
+            proof = controller.claim(SampledLoop).proof
+            tried = "found" if proof and self._sought(proof)[1] else "looked for, which takes too long,"
             yield "in this run", f"no bound was {tried} for what these leave in the sampled loop: {acts}"
-
-
-def _affordable(acts: Acting, errors: SampledErrors, unknowns: int) -> bool:
-    """Say whether tubes for all that acts can be looked for, and decided."""
-    tubes = len([*acts.squares, *acts.means])
-    return tubes * work(errors) <= _MOST and tubes * unknowns**3 <= _LONGEST
 
 
 def _around(most: Array, at: IntArray, near: int) -> Array:
@@ -434,14 +435,3 @@ def seen(controller: ProvedController) -> Iterator[Form]:
 def _above(size: float) -> float:
     """Return a number of four digits, not smaller: two processors enclose the same."""
     return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal(size))
-
-
-def _read_tube(entry: Any) -> Tube:
-    return Tube(
-        Q=packed_forms(entry["Q"]),
-        T=read_diagonals(entry["T"]),
-        a=double(entry["a"]),
-        b=double(entry["b"]),
-        sizes=tuple(size for _, size in read_signals(entry["signals"])),
-        summed=entry["summed"] == 1,
-    )

@@ -13,7 +13,6 @@ from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.sampled_disturbances import ROUNDING, Acting
 from pwatrack.control.sampled_error import SampledErrors
-from pwatrack.lmi.clocked_tubes import Tube
 
 
 def from_start(
@@ -49,10 +48,8 @@ def _begun(errors: SampledErrors, acts: Acting, columns: Array) -> tuple[Sampled
     return replace(errors, starts=starts_at), replace(acts, squares=squares)
 
 
-def of_this_start(
-    tubes: dict[Channel, tuple[Tube, ...]], told: Mapping[Channel, Any], errors: SampledErrors
-) -> tuple[dict[Channel, tuple[Tube, ...]], SampledErrors]:
-    """Return tubes and errors with the start that a certificate has; without tubes of it where the run has another."""
+def of_this_start(told: Mapping[Channel, Any], errors: SampledErrors) -> tuple[bool, SampledErrors]:
+    """Return errors with the start that a certificate tells of, and whether it is that of the run."""
     starts = errors.starts or ()
     found = [np.array(doubles([told[channel]]))[0] for channel in sorted(told)]
     own = [column.floats[:, 0] for column in starts]
@@ -60,6 +57,6 @@ def of_this_start(
         a.shape == b.shape and np.allclose(a, b, rtol=CLOSE, atol=CLOSE * np.abs(b).max())
         for a, b in zip(found, own, strict=True)
     )
-    if not same:
-        return {channel: each for channel, each in tubes.items() if channel[0] != "start"}, errors
-    return tubes, replace(errors, starts=[BallMatrix.of(z[:, None], (len(z), 1)) for z in found]) if found else errors
+    if not (same and found):
+        return same, errors
+    return True, replace(errors, starts=[BallMatrix.of(z[:, None], (len(z), 1)) for z in found])

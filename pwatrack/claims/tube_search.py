@@ -1,21 +1,25 @@
 """Looks for tubes of what acts on the errors of a sampled loop: see `lmi.clocked_tubes`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.claims.tube_text import Sizes
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_disturbances import SUMMED, Acting, driven, numbers, row
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.clocked_tubes import Tube, TubeProgram, tube
+from pwatrack.lmi.clocked_tubes import Drive, Tube, TubeProgram, tube
 from pwatrack.lmi.exact import rounded_down
 from pwatrack.rational import floats
 
+KINDS = 4  # of channels that have a tube together: between ticks and at them, summed or not
+_RARE = 0.01  # of the largest square: what counts of a channel that acts seldom
+_LEAST = 1e-4  # of d²: the share of a channel that does little
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
 _MORE = (1.6, 2.0)  # times that, as long as bounds get less
@@ -50,28 +54,61 @@ class TubeSearch:
         found = dict[Channel, tuple[Tube, ...]]()
         for channel in acts.squares:
             ways = (True,) if channel[0] in SUMMED else (False, True)[: 1 + (channel in acts.means)]
-            each = (self._best(channel, summed) for summed in ways)
+            each = (self._best(driven(self.errors, channel), summed) for summed in ways)
             if tubes := tuple(one for one in each if one is not None):
                 found[channel] = tubes
         return found
 
-    def _best(self, channel: Channel, summed: bool) -> Tube | None:
+    def together(self, acts: Acting) -> tuple[dict[Channel, tuple[Tube, ...]], tuple[Sizes, ...]]:
+        """Return tubes of channels of one kind each, all in one, and the sizes of these: what a search takes less of.
+
+        As large as they act, they leave what they would by themselves, in the loop of the mean of all vertices, if each
+        has its share of d². An ellipsoid that holds a sum of others is no larger, in what is asked of it, than these.
+        """
+        kinds = dict[tuple[bool, bool], dict[Channel, Drive]]()
+        for channel in acts.squares:
+            drive = driven(self.errors, channel)
+            kinds.setdefault((channel[0] in SUMMED, drive.ticks is None), {})[channel] = drive
+        tubes, found = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
+        for (summed, _), drives in kinds.items():
+            alone = len(drives) == 1
+            sizes = dict.fromkeys(drives, 1.0) if alone else self._sizes(acts, drives, summed)
+            best = self._best(Drive.together([*drives.values()], [*sizes.values()]), summed)
+            if best is not None:
+                tubes[next(iter(drives)) if alone else ("together", len(found))] = (best,)
+                found += [] if alone else [sizes]
+            elif not all(kind == "start" for kind, _ in drives):
+                break  # without it nothing is known
+        return tubes, tuple(found)
+
+    def _sizes(self, acts: Acting, drives: Mapping[Channel, Drive], summed: bool) -> Sizes:
+        """Return what of each channel is to be 1."""
+        squares = np.array([acts.squares[channel] for channel in drives])
+        most = np.sqrt(squares.max(axis=1) if summed else np.maximum(squares.mean(axis=1), _RARE * squares.max(axis=1)))
+        rows, whole = self.rows.floats, Drive.together([*drives.values()], [1.0] * len(drives))
+        a, b = whole.decay(_SHARES[0] * self.program.most, self.program.system)
+        shares = most * self.program.alone(whole, rows, self.weights, a=a, b=b)
+        shares = np.maximum(shares / shares.sum(), _LEAST) if shares.any() else np.ones(len(shares))
+        sizes = most / np.sqrt(shares / shares.sum())
+        return {channel: float(f"{size:.3g}") for channel, size in zip(drives, sizes.tolist(), strict=True)}
+
+    def _best(self, drive: Drive, summed: bool) -> Tube | None:
         known = self.shares.get(summed)
-        best = next(filter(None, (self._at(channel, one, summed) for one in (known, *_SHARES) if one)), None)
+        best = next(filter(None, (self._at(drive, one, summed) for one in (known, *_SHARES) if one)), None)
         if best is None:
             return None
         share = best[1]
         for factor in () if known else _MORE:
-            more = self._at(channel, factor * share, summed)
+            more = self._at(drive, factor * share, summed)
             if more is None or more[0] > best[0]:
                 break
             best = more
         self.shares[summed] = best[1]
         return best[2]
 
-    def _at(self, channel: Channel, share: float, summed: bool) -> tuple[float, float, Tube] | None:
+    def _at(self, drive: Drive, share: float, summed: bool) -> tuple[float, float, Tube] | None:
         decay = rounded_down(share * self.program.most, 3)
-        found = tube(self.program, driven(self.errors, channel), self.rows, self.weights, decay, summed=summed)
+        found = tube(self.program, drive, self.rows, self.weights, decay, summed=summed)
         if found is None:
             return None
         ends = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good

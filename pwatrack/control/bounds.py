@@ -67,6 +67,7 @@ Acts = Literal[
     "predicted",
     "swap",
     "rounding",
+    "together",
 ]
 Channel = tuple[Acts, int]
 Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive", "change"], int]

@@ -32,7 +32,9 @@ something is at t less what it is at τ, Δ' has (A_m − A_j) δx_d + (A₀ −
 measured has C δ(x_d + e₀): see `control.off_time`.
 
 V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at ticks: so it is at most the mean
-square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed.
+square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed. Several that
+all act between ticks, or all at them, may have one tube together: then d² is the sum of their squares, each in a size
+of its own.
 
 What moved drives by A_a − A_b, of the cells of the prediction as its substep began and now: by nothing in a substep in
 which both are on one side of every plane. "drawn", "cell" and "eta" are of estimates of loads, see
@@ -130,6 +132,18 @@ class Acting:
         squares = {channel: each for channel, each in squares.items() if each.any()}
         return replace(self, squares=squares, means=means, late=late)
 
+    def together(self, sizes: Mapping[Channel, float], tube: Tube, where: Mapping[str, Array]) -> Array:
+        """Return what acts on a tube of some channels, each in a size of its own, in each substep, as for `level`.
+
+        Those of some kinds act only where that is said, (K,).
+        """
+        total = np.zeros(len(self.near))
+        for channel, size in sizes.items():
+            each = self.means[channel] if tube.summed and not tube.b else self.squares[channel]
+            share = size if tube.summed and not tube.b else size**2
+            total += each * where.get(channel[0], 1.0) / share
+        return np.asarray(np.sqrt(total) if tube.summed and tube.b else total)
+
     def noise(self, outputs: int) -> Array:
         """Return how much is measured off at most at any tick, of so many outputs."""
         return np.array([float(np.sqrt(self.squares.get(("noise", k), np.zeros(1)).max())) for k in range(outputs)])
@@ -140,27 +154,22 @@ def joined(ends: Array, more: Array) -> Array:
     return np.column_stack([np.minimum(ends[:, 0], more[:, 0]), np.maximum(ends[:, 1], more[:, 1])])
 
 
-def level(acts: Acting, channel: Channel, tube: Tube, gains: SampledGains, where: Array | float = 1.0) -> Array:
-    """Return what V^½ is at most in each substep, from V = 0 on, (K,).
+def level(d: Array, tube: Tube, gains: SampledGains) -> Array:
+    """Return what V^½ of a tube is at most in each substep, from V = 0 on, (K,).
 
     Args:
-        acts: What acts.
-        channel: Which of it the tube is of.
-        tube: Its tube.
+        d: What acts in each: the mean square, or of what is summed its mean, at ticks it itself, (K,).
+        tube: Of that.
         gains: Of the program.
-        where: 0 for substeps in which it is known not to act, (K,).
     """
-    step, d = gains.sample_time / gains.substeps, acts.squares[channel] * where
-    if channel[0] == "rounding":
-        return np.asarray(np.sqrt(d))
-    if tube.summed and tube.b:
-        ticks = _kept(np.sqrt(d[:: gains.substeps]), float(np.sqrt(1 - tube.b)))
-        return np.asarray(np.repeat(ticks, gains.substeps)[: len(d)] * OVER_POWERS)
-    if channel[0] in ("noise", "eta"):
-        ticks = _kept(tube.b * d[:: gains.substeps], 1.0 - tube.b)
-        return np.asarray(np.sqrt(np.repeat(ticks, gains.substeps)[: len(d)]) * OVER_POWERS)
+    step = gains.sample_time / gains.substeps
+    if tube.b:
+        share = np.sqrt(1 - tube.b) if tube.summed else 1.0 - tube.b
+        ticks = _kept((1.0 if tube.summed else tube.b) * d[:: gains.substeps], float(share))
+        each = np.repeat(ticks, gains.substeps)[: len(d)]
+        return np.asarray((each if tube.summed else np.sqrt(each)) * OVER_POWERS)
     if tube.summed:
-        return faded(acts.means[channel] * where * step, tube.a / 2 * step)
+        return faded(d * step, tube.a / 2 * step)
     return np.asarray(np.sqrt(faded(tube.a * d * step, tube.a * step)))
 
 

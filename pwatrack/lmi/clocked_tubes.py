@@ -1,24 +1,25 @@
-"""What a bounded scalar can do to a switched system with a clock: tubes that depend on the time since a tick.
+"""What bounded scalars can do to a switched system with a clock: tubes that depend on the time since a tick.
 
-Let z be as in `clocked`, and driven by a scalar |d| ≤ 1, z' = F(t) (z + E d) + G d between ticks, or z⁺ = J z + Γ d at
-them, (J, Γ) in the hull of (J_j, Γ_j). With Q(τ) and T(τ), diagonal, linear between Q_0 … Q_N ≻ 0 and T_0 … T_N at
+Let z be as in `clocked`, and driven by scalars d, ‖d‖ ≤ 1, z' = F(t) (z + E d) + G d between ticks, or z⁺ = J z + Γ d
+at them, (J, Γ) in the hull of (J_j, Γ_j). With Q(τ) and T(τ), diagonal, linear between Q_0 … Q_N ≻ 0 and T_0 … T_N at
 knots δ apart in each part of the period, and q_i = V_i E, g_i = F_i E + G + Q_e V_iᵀ T_e⁻¹ q_i,
 
-    −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i g_iᵀ / (a − q_iᵀ T_e⁻¹ q_i)
+    −(Q_{k+1} − Q_k) / δ + F_i Q_e + Q_e F_iᵀ + a Q_e + g_i (a I − q_iᵀ T_e⁻¹ q_i)⁻¹ g_iᵀ
         + U_i T_e U_iᵀ + Q_e V_iᵀ T_e⁻¹ V_i Q_e ≺ 0    for e = k and e = k + 1, all k, all boxes i
     R Q_N Rᵀ ≺ Q_0 of the next part,    J_j Q_N J_jᵀ / (1 − b) + Γ_j Γ_jᵀ / b ≺ Q_0 of the first, for all j
 
-V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a d² between ticks, and V⁺ ≤ (1 − b) V + b d² at them; what acts only at one of both has
-a = 0 or b = 0 at the other, without the terms with g and q. So from z = 0 always V ≤ 1, from everywhere V ends below 1,
-and |c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in `docs/theory/beyond.md`).
+V = zᵀ Q(τ)⁻¹ z has V' ≤ −a V + a ‖d‖² between ticks, and V⁺ ≤ (1 − b) V + b ‖d‖² at them; what acts only at one of
+both has a = 0 or b = 0 at the other, without the terms with g and q. So from z = 0 always V ≤ 1, from everywhere V ends
+below 1, and |c z| ≤ max_k (c Q_k cᵀ)^½ for every row c: c Q(τ) cᵀ is linear between knots (proved in
+`docs/theory/beyond.md`).
 
-A tube of what is summed, for a d that is seldom anything but 0, has in place of the terms with g and Γ
+A tube of what is summed, for d that are seldom anything but 0, has in place of the terms with g and Γ
 
     g gᵀ ≺ Q_e    for all knots e, all g = (F_i + U_i diag(ε) V_i) E + G with ε_k at 1 or −1
     Γ_j Γ_jᵀ ≺ Q_0    for all j
 
-and V^½' ≤ −(a / 2) V^½ + |d|, or V^½⁺ ≤ (1 − b)^½ V^½ + |d|: V^½ ends below the integral of |d| with weights that fall
-as e^(−a t / 2), or the sum of |d| with weights that fall by (1 − b)^½.
+and V^½' ≤ −(a / 2) V^½ + ‖d‖, or V^½⁺ ≤ (1 − b)^½ V^½ + ‖d‖: V^½ ends below the integral of ‖d‖ with weights that fall
+as e^(−a t / 2), or the sum of ‖d‖ with weights that fall by (1 − b)^½.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,21 +29,23 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import OVER_POWERS, Array
-from pwatrack.ball_matrix import BallMatrix, different
+from pwatrack.ball_matrix import BallMatrix, beside, different
 from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, Knot, edges, knots_of, looked_for, short_diagonals, shrunk
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
-from pwatrack.lmi.norm import sizes_in, square_above
-from pwatrack.rational import Rational, floats, fraction_of, is_positive_definite, number, rational, scalar
+from pwatrack.lmi.norm import form_above, sizes_in
+from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_definite, number, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
 _GAP = 1e-3  # share of the cost that may be missed
 _WORST = 8  # boxes that are added at each end of a segment where some are not satisfied
 _NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as good as nothing
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
+_DOUBLINGS = 40  # of a time in periods: after it nothing is left
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
 
 
@@ -71,14 +74,14 @@ class TubeProgram:
             summed: Whether d is.
         """
         L, system = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system
-        added = np.array([g.floats[:, 0] for g in drive.held_by(system)])
+        added = np.array([g.floats for g in drive.held_by(system)])
         if drive.ticks is None and not added.any():  # balls alone drive, or nothing: a tube is sought for a little
             drive = drive.slowly(_NOTHING * self.most)
-            added = drive.between.floats.T
+            added = drive.between.floats[None]
         inside, back, eye = self.clock.inside(L, a / 2), np.linalg.inv(L), np.eye(len(L))
-        ticks = [np.zeros(len(L))] * len(inside.J) if drive.ticks is None else [X.floats[:, 0] for X in drive.ticks]
-        holding = L @ added.T
-        kicking = np.array(ticks) @ L.T / np.sqrt(1.0 if summed else b or np.inf)
+        ticks = np.array([X.floats for X in drive.ticks or [drive.held.times(Fraction(0))] * len(inside.J)])
+        holding = L @ added
+        kicking = L @ ticks / np.sqrt(1.0 if summed else b or np.inf)
         h = self.clock.period
         driving = holding if summed else holding * np.sqrt(h / (a or np.inf))
         size = max(float((driving**2).max()), float((kicking**2).max()))
@@ -86,21 +89,21 @@ class TubeProgram:
             return None
         W, rest = (rows @ back).T * weights @ (rows @ back) + _FADING * eye, slack * eye
         fixed = [
-            Bound({k: (-eye / 2, eye)}, rest + np.outer(g, g) / size)
-            for g in (np.unique(holding.T, axis=0) if summed and drive.ticks is None else ())
+            Bound({k: (-eye / 2, eye)}, rest + g @ g.T / size)
+            for g in (np.unique(holding, axis=0) if summed and drive.ticks is None else ())
             for k in range(inside.count)
         ]
         fixed += [_kept(j - 1, j, inside.R, eye, rest) for j in range(self.knots + 1, inside.count, self.knots + 1)]
         for J_j, kick in zip(inside.J, kicking, strict=True):
-            left, kicked = J_j / np.sqrt(1 - b), np.outer(kick, kick) / size
+            left, kicked = J_j / np.sqrt(1 - b), kick @ kick.T / size
             if summed:
                 fixed.append(Bound({0: (-eye / 2, eye)}, rest + kicked))
             fixed.append(_kept(inside.count - 1, 0, left, self._seen(left), rest if summed else rest + kicked))
         acting = not (summed or drive.ticks is not None)
         push = _Push(
             clock=inside,
-            g=drive.middles(system) @ L.T * (h / np.sqrt(size) * acting),
-            q=inside.V @ L @ drive.held.floats[:, 0] / np.sqrt(size) * acting,
+            g=L @ drive.middles(system) * (h / np.sqrt(size) * acting),
+            q=inside.V @ L @ drive.held.floats / np.sqrt(size) * acting,
             a=a * h,
             rest=(a * h if summed and a else 1.0) * rest,
         )
@@ -124,6 +127,29 @@ class TubeProgram:
         """No z falls faster for all vertices, in 1/s: what one does by itself."""
         return self.clock.most
 
+    def alone(self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float) -> Array:
+        """Return the root of about what each d costs by itself, in the loop of the mean of all vertices, (d,)."""
+        system, n = self.system, len(self.near)
+        F, J = (np.mean([X.floats for X in each], axis=0) for each in (system.F, system.J))
+        R = np.eye(n) if system.between is None else system.between.floats
+        rate, J = (F + a / 2 * np.eye(n)) * float(system.period) / system.parts, J / np.sqrt(1 - b)
+        flow, half, after = scipy.linalg.expm(rate), scipy.linalg.expm(rate / 2), [J]
+        for _ in range(system.parts - 1):
+            after.append(after[-1] @ flow @ R)
+        X, whole = rows.T * weights @ rows, after[-1] @ flow
+        for _ in range(_DOUBLINGS):
+            X, whole = X + whole.T @ X @ whole, whole @ whole
+        if drive.ticks is not None:
+            g = np.array([kick.floats for kick in drive.ticks])
+            return np.asarray(np.sqrt(np.einsum("vnd,nk,vkd->vd", g, X, g).max(axis=0)))
+        S = np.sum([half.T @ one.T @ X @ one @ half for one in after], axis=0)
+        g, (U, V) = drive.middles(system), (np.array([each.floats for each in some]) for some in (system.U, system.V))
+        most = np.sqrt(np.einsum("vnd,nk,vkd->vd", g, S, g))
+        if len(U):
+            of_edges = np.sqrt(np.einsum("vnp,nk,vkp->vp", U, S, U))
+            most += np.einsum("vpd,vp->vd", np.abs(V @ drive.held.floats), of_edges)
+        return np.asarray(most.max(axis=0))
+
     def _seen(self, J: Array) -> Array:
         """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
         U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
@@ -135,15 +161,16 @@ class _Push:
     """What is asked of a tube between ticks, in floating point, in periods."""
 
     clock: ClockedForms  # with a / 2 in F
-    g: Array  # what drives z' at the middles, (v, n); 0 where nothing does
-    q: Array  # what of d the edges see, (v, p)
+    g: Array  # what drives z' at the middles, (v, n, d); 0 where nothing does
+    q: Array  # what of d the edges see, (v, p, d)
     a: float
     rest: Array  # what is to be left, (n, n)
 
     def bound(self, segment: Segment, i: int) -> Bound:
         """Return [D Q + rest + U T Uᵀ, g, Q Vᵀ; ., −a, qᵀ; ., ., −T] ⪯ 0; without q g gᵀ / a stands in the first."""
         (k, after, e), (n, p), step, clock = segment, self.clock.U.shape[1:], self.clock.step, self.clock
-        more = int(self.q.any())
+        seen = self.q.any(axis=(0, 1))
+        more, g, alone = int(seen.sum()), self.g[i][:, seen], self.g[i][:, ~seen]
         N, C = n + more + p, np.zeros((n + more + p,) * 2)
         first, own, eye = np.eye(n, N), np.eye(p, N, n + more), np.eye(n)
         L = {k: eye / 2, after: -eye / 2}
@@ -151,11 +178,11 @@ class _Push:
         below = {j: step * clock.V[i] if j == e else np.zeros((p, n)) for j in L}
         terms = {j: (np.vstack([X, np.zeros((more, n)), below[j]]), first) for j, X in L.items()}
         C[:n, :n] = step * self.rest
-        if more:
-            C[:n, n], C[n, n], C[n, n + 1 :] = step * self.g[i], -step * self.a, step * self.q[i]
-            C = np.triu(C) + np.triu(C, 1).T
-        elif self.a:
-            C[:n, :n] += step * np.outer(self.g[i], self.g[i]) / self.a
+        if self.a:
+            C[:n, :n] += step * alone @ alone.T / self.a
+        C[:n, n : n + more], C[n : n + more, n + more :] = step * g, step * self.q[i][:, seen].T
+        C[n : n + more, n : n + more] = -step * self.a * np.eye(more)
+        C = np.triu(C) + np.triu(C, 1).T
         U = clock.U[i].T @ first
         S = step * (U[:, :, None] * U[:, None, :] - own[:, :, None] * own[:, None, :])
         return Bound(terms, C, None, range(e * p, (e + 1) * p), S)
@@ -165,10 +192,22 @@ class _Push:
         (k, after, e), clock = segment, self.clock
         product, seen = clock.F @ Q[e], Q[e] @ clock.V.transpose(0, 2, 1)
         edges = clock.U * T[e] @ clock.U.transpose(0, 2, 1) + seen / T[e] @ seen.transpose(0, 2, 1)
-        g, a = self.g + (seen @ (self.q / T[e])[..., None])[..., 0], self.a - (self.q**2 / T[e]).sum(axis=1)
-        pushed = g[:, :, None] * g[:, None, :] / np.where(a > 0, a, np.inf if not self.a else 1e-300)[:, None, None]
+        q = self.q / T[e][:, None]
+        g, left = self.g + seen @ q, self.a * np.eye(self.q.shape[2]) - self.q.transpose(0, 2, 1) @ q
+        pushed = g @ _inverse(left) @ g.transpose(0, 2, 1) if self.a else 0.0
         total = product + product.transpose(0, 2, 1) + edges + pushed + self.rest
         return np.asarray(Q[after] - Q[k] - clock.step * total)
+
+
+def _scaled(columns: Sequence[BallMatrix], sizes: Sequence[float]) -> BallMatrix:
+    """Return columns side by side, each times a number as it prints."""
+    return beside(*(column.times(Fraction(repr(size))) for column, size in zip(columns, sizes, strict=True)))
+
+
+def _inverse(X: Array) -> Array:
+    """Return inverses of symmetric matrices, very large ones of those that are not positive definite."""
+    values, V = np.linalg.eigh(X)
+    return np.asarray(V / np.maximum(values, 1e-300)[:, None, :] @ V.transpose(0, 2, 1))
 
 
 def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
@@ -178,28 +217,45 @@ def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """How a scalar acts: between ticks or at them."""
+    """How scalars act: all between ticks or all at them."""
 
-    held: BallMatrix  # E, (n, 1): beside what of z
-    between: BallMatrix  # G, (n, 1)
-    ticks: Sequence[BallMatrix] | None = None  # Γ_j, (n, 1), one for each J_j; None where it acts between ticks
+    held: BallMatrix  # E, (n, d): beside what of z
+    between: BallMatrix  # G, (n, d)
+    ticks: Sequence[BallMatrix] | None = None  # Γ_j, (n, d), one for each J_j; None where they act between ticks
+
+    @classmethod
+    def together(cls, drives: Sequence["Drive"], sizes: Sequence[float]) -> "Drive":
+        """Return how some act together, where 1 is so much of each."""
+        ticks = [one.ticks for one in drives if one.ticks is not None]
+        return cls(
+            held=_scaled([one.held for one in drives], sizes),
+            between=_scaled([one.between for one in drives], sizes),
+            ticks=[_scaled(each, sizes) for each in zip(*ticks, strict=True)] if ticks else None,
+        )
+
+    def decay(self, rate: float, system: Clocked) -> tuple[float, float]:
+        """Return a and b of a tube that makes up for a rate in 1/s where the scalars act."""
+        if self.ticks is None:
+            return rate, 0.0
+        return 0.0, rounded_down(-float(np.expm1(-rate * float(system.period))), 3)
 
     def middles(self, system: Clocked) -> Array:
-        """Return F_i E + G, (v, n)."""
-        return np.array([(F @ self.held + self.between).floats[:, 0] for F in system.F])
+        """Return F_i E + G, (v, n, d)."""
+        return np.array([(F @ self.held + self.between).floats for F in system.F])
 
     def slowly(self, rate: float) -> "Drive":
         """Return what drives at a rate, in 1/s, what this is beside."""
         return replace(self, held=self.held.times(Fraction(0)), between=BallMatrix.of(rate * self.held.floats))
 
     def held_by(self, system: Clocked) -> list[BallMatrix]:
-        """Return what d may add to z', at all corners of the boxes, (n, 1) each."""
+        """Return what d may add to z', at all corners of the boxes, (n, d) each."""
         found = list[BallMatrix]()
         for F, U, V in system.boxes:
             each, q = [F @ self.held + self.between], V @ self.held
             for k in range(q.shape[0]):
-                if q.centre[k, 0]:
-                    edge = U.part(range(U.shape[0]), [k]).times(fraction_of(q.centre[k, 0]))
+                row = q.part([k], range(q.shape[1]))
+                if any(row.centre.entries()):
+                    edge = U.part(range(U.shape[0]), [k]) @ BallMatrix(row.centre)
                     each = [g + side for g in each for side in (edge, edge.times(Fraction(-1)))]
             found += each
         return different(found)
@@ -244,10 +300,7 @@ def tube(
         >>> 1.5 < found.sizes[0] < 1.51
         True
     """
-    system, ticks = program.system, driven.ticks
-    a, b = decay, 0.0
-    if ticks is not None:
-        a, b = 0.0, rounded_down(-float(np.expm1(-decay * float(system.period))), 3)
+    system, (a, b) = program.system, driven.decay(decay, program.system)
     for slack in _SLACKS:
         found = program.smallest(driven, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
         if found is None:
@@ -278,7 +331,7 @@ def contains(
         return False
     holding = (ticks or driven.held_by(system)) if summed else []
     inside = Q[:1] if ticks else Q
-    left = (Q_k.P - square_above(column, [Fraction(1)], Q_k.scale) for column in holding for Q_k in inside)
+    left = (Q_k.P - form_above(g, identity(g.shape[1]), Q_k.scale) for g in holding for Q_k in inside)
     if not all(map(is_positive_definite, left)):
         return False
     slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
@@ -294,7 +347,7 @@ def contains(
                         pushed = _pushed(F @ driven.held + driven.between, seen, V @ driven.held, T_e, a)
                         if pushed is None:
                             return False
-                        more += square_above(*pushed, Q_e.scale)
+                        more += form_above(*pushed, Q_e.scale)
                     if not is_positive_definite(left_side(F, Q_e) - more):
                         return False
     return True
@@ -302,14 +355,13 @@ def contains(
 
 def _pushed(
     g: BallMatrix, seen: BallMatrix, q: BallMatrix, T: Sequence[float], a: float
-) -> tuple[BallMatrix, list[Fraction]] | None:
-    """Return g + Q Vᵀ T⁻¹ q and 1 / (a − qᵀ T⁻¹ q); None where that is not positive."""
-    shares = [fraction_of(v) / Fraction(repr(t)) for v, t in zip(q.centre.entries(), T, strict=True)]
-    left = Fraction(repr(a)) - sum((fraction_of(v) * w for v, w in zip(q.centre.entries(), shares, strict=True)), 0)
-    if left <= 0:
+) -> tuple[BallMatrix, Rational] | None:
+    """Return g + Q Vᵀ T⁻¹ q and (a I − qᵀ T⁻¹ q)⁻¹; None where that is not positive definite."""
+    back = diagonal([1 / Fraction(repr(t)) for t in T])
+    left = identity(q.shape[1]) * scalar(a) - q.centre.transpose() * back * q.centre
+    if not is_positive_definite(left):
         return None
-    column = BallMatrix(rational([[v] for v in shares], (len(shares), 1)))
-    return g + seen @ column, [1 / left]
+    return g + seen @ BallMatrix(back * q.centre), left.inv()
 
 
 def _jumps(
@@ -318,7 +370,9 @@ def _jumps(
     """Yield what is to be positive definite at ticks and at the ends of parts."""
     (first, _), (last, _) = parts[0][0], parts[-1][-1]
     for k, J in enumerate(system.J):
-        kicked = first.P if kicks is None else first.P - square_above(kicks[k], [1 / b], first.scale)
+        kicked = first.P
+        if kicks is not None:
+            kicked = kicked - form_above(kicks[k], identity(kicks[k].shape[1]) * number(1 / b), first.scale)
         yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
     for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
         assert system.between is not None

@@ -190,8 +190,13 @@ def _estimate(size: Rational, Q: Rational) -> float:
 
 
 def square_above(U: BallMatrix, weights: Sequence[Fraction], unit: Sequence[Fraction]) -> Rational:
-    """Return U diag(weights) Uᵀ, no weight negative, or what is above it for every U in the ball: see `unsure`."""
-    square = U @ BallMatrix(diagonal(weights)) @ U.transpose()
+    """Return U diag(weights) Uᵀ, no weight negative, or what is above it for every U in the ball."""
+    return form_above(U, diagonal(weights), unit)
+
+
+def form_above(U: BallMatrix, W: Rational, unit: Sequence[Fraction]) -> Rational:
+    """Return U W Uᵀ, W positive semidefinite, or what is above it for every U in the ball: see `unsure`."""
+    square = U @ BallMatrix(W) @ U.transpose()
     return square.centre + unsure(square.radius, identity(len(unit)), unit)  # twice what is needed
 
 

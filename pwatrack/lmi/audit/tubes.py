@@ -4,16 +4,18 @@ from fractions import Fraction
 from itertools import chain, pairwise
 from typing import Any
 
-from .balls import Ball, beyond, falls, less_square, sides, squared, stacked, unit, unlike, zero
+from .balls import Ball, beyond, falls, less_square, sides, stacked, unit, unlike, zero
 from .bounds import CHANNEL, SIGNALS, Loop
 from .boxes import spread, squares
 from .clocked import Knot, predicted, runs_of, shrinks
-from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
+from .matrices import AuditFault, Matrix, added, definite, identity, inverted, product, times, transposed
 from .reading import distinct, number, place
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
-TUBE = {"channel": CHANNEL, "Q": [PACKED], "T": ROWS, "signals": SIGNALS, "summed": WHOLE, "start?": [NUMBER]}
+TICKS = "noise", "eta", "load", "start"  # what acts at ticks
+ACTS = [{"channel": CHANNEL, "size": NUMBER, "start?": [NUMBER]}]
+TUBE = {"acts": ACTS, "Q": [PACKED], "T": ROWS, "signals": SIGNALS, "summed": WHOLE}
 TUBES = [TUBE | of(NUMBER, "a b")]
 SHAPE = {"sampled_bounds": TUBES}
 
@@ -31,17 +33,21 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
 
 def left(found: Any, tubes: "Tubes", of: str) -> tuple[list[str], list[str]]:
     """Return what is wrong with tubes, and what they claim, of some plants."""
-    distinct([(*entry["channel"], entry["summed"]) for entry in found], "a channel of the sampled loop")
-    faults = [f"the sampled loop{of}, {entry['channel']}: {fault}" for entry in found for fault in tubes.faults(entry)]
-    channels = {tuple(entry["channel"]) for entry in found if entry["channel"][0] != "start"}
+    each = [[tuple(one["channel"]) for one in entry["acts"]] for entry in found]
+    told = [(*channel, entry["summed"]) for entry, some in zip(found, each, strict=True) for channel in some]
+    distinct(told, "a channel of the sampled loop")
+    named = [(", ".join(f"{kind} {k}" for kind, k in some), entry) for entry, some in zip(found, each, strict=True)]
+    faults = [f"the sampled loop{of}, {name}: {fault}" for name, entry in named for fault in tubes.faults(entry)]
+    channels = {channel for some in each for channel in some if channel[0] != "start"}
     return faults, [f"the sampled loop{of}: what {len(channels)} disturbances, noises and inputs leave is proved"]
 
 
 class Tubes:
-    """-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + g g^T / s < 0 for all boxes.
+    """-(Q_k+1 - Q_k) / step + F Q_e + Q_e F^T + a Q_e + U T_e U^T + Q_e V^T T_e^-1 V Q_e + g S^-1 g^T < 0, all boxes.
 
-    q is V of what d is beside, g how d acts at a middle + Q_e V^T T_e^-1 q, s = a - q^T T_e^-1 q > 0; and at ticks
+    q is V of what d is beside, g how d acts at a middle + Q_e V^T T_e^-1 q, S = a I - q^T T_e^-1 q > 0; and at ticks
     J Q_N J^T / (1 - b) + h h^T / b < Q_0. Of what is summed g g^T < Q_e at all corners in place of the term with g.
+    Several channels may act together, all between ticks or all at them, with a column each, as large as it is told.
     """
 
     def __init__(self, errors: AuditedErrors, merged: Any) -> None:
@@ -53,13 +59,17 @@ class Tubes:
         errors, a, b = self.errors, number(entry["a"]), number(entry["b"])
         runs = runs_of(errors, entry["Q"], entry["T"], "the tube of the sampled loop is not that of its knots")
         forms, summed = [knot[:2] for knot in chain(*runs)], entry["summed"] == 1
-        ticks = entry["channel"][0] in ("noise", "eta", "load", "start")
+        acts = [(one["channel"], number(one["size"]), one.get("start")) for one in entry["acts"]]
+        ticks = bool(acts) and acts[0][0][0] in TICKS
+        if not acts or any((channel[0] in TICKS) != ticks or size <= 0 for channel, size, _ in acts):
+            raise AuditFault("what acts together acts between ticks, or at them, in a size above 0")
         if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
             raise AuditFault("a or b of a tube is out of range")
         if entry["summed"] not in (0, 1):
             raise AuditFault("what is summed is 1 or 0")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
-        held, between, kicks = self.drive(entry["channel"], entry.get("start"))
+        each = [[X.times(size) for X in self.drive(channel, start)] for channel, size, start in acts]
+        held, between, *kicks = (sides(*columns) for columns in zip(*each, strict=True))
         (last, powers), (first, others) = forms[-1], forms[0]
         for tick, kick in zip(errors.ticks, kicks, strict=True):
             inside = less_square(first, others, kick, 1 / b) if ticks and not summed else first
@@ -91,20 +101,21 @@ class Tubes:
             rest = added(fall, squares(U, VQ, [1 / t for t in T])) if T else fall
             open_: Matrix = []
             if a and not summed:
-                q = [row[0] / t for row, t in zip(product(V, held.centre), T, strict=True)] if T else []
-                left = a - sum((v**2 * t for v, t in zip(q, T, strict=True)), Fraction(0))
-                g = F @ held + between
-                g = g + Ball(product(transposed(VQ), [[v] for v in q])) if any(q) else g
-                if left <= 0:
-                    return False
-                square, open_ = squared(g, 1 / left)
-                rest = added(rest, square)
+                g, S = F @ held + between, times(identity(len(held.centre[0]), 1), a)
+                if T:
+                    q = product(V, held.centre)
+                    back = [[v / t for v in row] for row, t in zip(q, T, strict=True)]
+                    g, S = g + Ball(product(transposed(VQ), back)), added(S, product(transposed(q), back), -1)
+                    if not definite(S):
+                        return False
+                square, open_ = g @ Ball(inverted(S)) @ g.T
+                rest, open_ = added(rest, square), times(open_, Fraction(1, 2))
             if not falls(F, Q, powers, rest, open_, rate=a / 2):
                 return False
         return True
 
-    def drive(self, channel: Any, start: Any) -> tuple[Ball, Ball, list[Ball]]:
-        """Return what 1 of a channel is beside z, adds to z', and to z at a tick, for each that there may be."""
+    def drive(self, channel: Any, start: Any) -> list[Ball]:
+        """Return what 1 of a channel is beside z, adds to z', and to z at each tick that there may be."""
         (kind, k), (n, m, N, q) = channel, self.sizes
         if (kind == "start") != (start is not None):
             raise AuditFault("a start is told of what is none, or not of one")
@@ -112,7 +123,7 @@ class Tubes:
             if len(start) != self.errors.order:
                 raise AuditFault("a start does not fit the sampled loop")
             z = Ball([[number(v)] for v in start])
-            return zero(len(start), 1), zero(len(start), 1), [tick @ z for tick in self.errors.ticks]
+            return [zero(len(start), 1), zero(len(start), 1), *(tick @ z for tick in self.errors.ticks)]
         counts = dict.fromkeys(("disturbance", "drawn"), n) | dict.fromkeys(("input", "cell"), m)
         counts |= {"deviation": len(self.merged), "noise": len(self.errors.plant.C[0]), "moved": q, "load": N - n}
         paces = len(self.errors.paces)
@@ -126,16 +137,16 @@ class Tubes:
         if kind == "noise":
             M, others = errors.M.column(k), (d - 1) * [Delta] + d * [rho]
             put_out = errors.put_out(e, Delta if errors.late else M, zero(errors.p, 1))
-            return nothing, nothing, [stacked(e, nu, M, *others, more) for nu, more in put_out]
+            return [nothing, nothing, *(stacked(e, nu, M, *others, more) for nu, more in put_out)]
         if kind == "eta":
-            return nothing, nothing, [unit(errors.order, errors.order - errors.p + k)] * len(errors.ticks)
+            return [nothing, nothing, *[unit(errors.order, errors.order - errors.p + k)] * len(errors.ticks)]
         if kind == "load":
             if errors.estimates is not None:
                 e = errors.estimates.hull[0][1].column(k)
             step = stacked(e, nu, *d * [unit(N, n + k)], *d * [rho], rest)
-            return nothing, nothing, [tick @ step for tick in errors.ticks]
+            return [nothing, nothing, *(tick @ step for tick in errors.ticks)]
         held, (e, own, moved) = self.between(kind, k)
-        return held, stacked(e, nu, *own, *moved, rest), [nothing] * len(errors.ticks)
+        return [held, stacked(e, nu, *own, *moved, rest), *[nothing] * len(errors.ticks)]
 
     def between(self, kind: str, k: int) -> tuple[Ball, tuple[Ball, list[Ball], list[Ball]]]:
         """Return what 1 of a channel is beside z, and adds to e', and to all Delta' and rho', between ticks."""
@@ -184,5 +195,5 @@ class Tubes:
 
 def seen(F: Ball, U: Matrix, V: Matrix, held: Ball) -> list[Ball]:
     """Return the corners of a box, but for the edges that do not act on what d is beside."""
-    acting = [k for k, row in enumerate(product(V, held.centre) if V else []) if row[0]]
+    acting = [k for k, row in enumerate(product(V, held.centre) if V else []) if any(row)]
     return spread(F, [[u[k] for k in acting] for u in U], [V[k] for k in acting])

@@ -1,0 +1,58 @@
+"""Tubes of what acts on the errors of a sampled loop, as a certificate has them."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.exact_text import (
+    decimal,
+    diagonals,
+    double,
+    packed,
+    packed_forms,
+    read_channel,
+    read_diagonals,
+    read_signals,
+    signals,
+)
+from pwatrack.control.bounds import Channel, Form
+from pwatrack.lmi.clocked_tubes import Tube
+
+Sizes = Mapping[Channel, float]  # of channels that have a tube, the size that is 1 of each
+
+
+def told(
+    tubes: Iterable[tuple[Sizes, Tube]], forms: Sequence[Form], starts: Sequence[BallMatrix]
+) -> Iterator[dict[str, Any]]:
+    """Yield an entry of each tube."""
+    for of, tube in tubes:
+        yield {
+            "acts": [
+                {"channel": list(channel), "size": decimal(size)}
+                | ({"start": starts[channel[1]].transpose().texts[0]} if channel[0] == "start" else {})
+                for channel, size in of.items()
+            ],
+            "a": decimal(tube.a),
+            "b": decimal(tube.b),
+            "summed": int(tube.summed),
+            "Q": [packed(Q) for Q in tube.Q],
+            "T": diagonals(tube.T),
+            "signals": signals(zip(forms, tube.sizes, strict=True)),
+        }
+
+
+def read(entries: Sequence[Any]) -> tuple[list[tuple[Sizes, Tube]], dict[Channel, Any]]:
+    """Return the tubes of entries, and the starts that these tell of."""
+    starts = {read_channel(one["channel"]): one["start"] for each in entries for one in each["acts"] if "start" in one}
+    found = list[tuple[Sizes, Tube]]()
+    for entry in entries:
+        tube = Tube(
+            Q=packed_forms(entry["Q"]),
+            T=read_diagonals(entry["T"]),
+            a=double(entry["a"]),
+            b=double(entry["b"]),
+            sizes=tuple(size for _, size in read_signals(entry["signals"])),
+            summed=entry["summed"] == 1,
+        )
+        found.append(({read_channel(one["channel"]): double(one["size"]) for one in entry["acts"]}, tube))
+    return found, starts
