@@ -89,24 +89,10 @@ def _least(asked: Asked) -> dict[Role, LeastCost]:
 def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     """Return X (n, n) with X M_i + M_iᵀ X + Q + KᵀRK ≺ 0 for M_i = A_i + B K, proved exactly, of small trace.
 
-    **The controller.** With x̂(0) = x(0) the observer is right at all times, and e' = M̂ e, v = K e for e = x − x_d and
-    v = u − u_ff. Integrated along it, the inequality bounds ∫(eᵀQe + vᵀRv) dt by e(0)ᵀ X e(0) (Boyd et al., Linear
-    Matrix Inequalities in System and Control Theory, 1994, section 7.4).
-
-    **The observer**, with A_iᵀ, Cᵀ and Lᵀ: X M_iᵀ + M_i X + W ≺ 0 for M_i = A_i + L C, W = Q + L R Lᵀ. White noise of
-    density Q added to ẋ and of density R to y, independent, makes Δ = x̂ − x obey dΔ = M̂ Δ dt + dω, dω dωᵀ = W dt, with
-    M̂ in conv{M_i} whatever x and x̂ are. Itô's formula for V = ΔᵀX⁻¹Δ gives, with p = X⁻¹Δ,
-
-        dE V/dt = E[pᵀ (M̂ X + X M̂ᵀ) p] + tr(X⁻¹W) ≤ −E[pᵀ W p] + tr(X⁻¹W),
-
-    (the coefficients are Lipschitz, so all second moments are finite), and integrated over [0, T]
-
-        1/T ∫ E[Δᵀ X⁻¹ W X⁻¹ Δ] dt ≤ tr(X⁻¹W) + E V(0) / T:
-
-    the average over a long time, and in a stationary state the expectation itself, is at most tr(X⁻¹W). That the
-    covariance is at most X follows only where all M_i are the same: else switching rectifies noise into a bias, and a
-    case reaches 4 X. Where they are the same, E ΔΔᵀ ⪯ X at all times from Δ(0) = 0, being ∫ e^(Ms) W e^(Mᵀs) ds. Raises
-    Undecided if no X could be proved.
+    For K it bounds ∫(eᵀQe + vᵀRv) dt from x̂(0) = x(0) by e(0)ᵀ X e(0), e = x − x_d and v = u − u_ff. For the observer,
+    with A_iᵀ, Cᵀ and Lᵀ, W = Q + L R Lᵀ and white noise of density Q on ẋ and R on y, the average of E[Δᵀ X⁻¹ W X⁻¹ Δ]
+    over a long time is at most tr(X⁻¹W); the covariance of Δ = x̂ − x is at most X only where all M_i are the same. Both
+    are proved in `docs/theory/beyond.md`, *Costs*. Raises Undecided if no X could be proved.
 
     Example:
         >>> task = Task(A=np.array([[[0.0]]]), B=np.eye(1), cells=["all"])

@@ -1,17 +1,12 @@
 """Practical tracking: where cells are merged, errors end below a bound that is proved for every signal.
 
-Let f = f̃ + Σ E_k w_k with |w_k| ≤ w̄_k at every x (`model.simplification`), and let (8), (9), (17) hold for f̃. Generator
-and feedforward run f̃, the plant is f. With e = x − x_d and Δ = x̂ − x, and an observer that runs f̃ too,
+f = f̃ + Σ E_k w_k with |w_k| ≤ w̄_k at every x (`model.simplification`): generator and feedforward run f̃, the plant
+is f. Then (e, Δ)' = M (e, Δ) + Σ (E_k, −E_k) w_k with M in the hull of the M_ij of f̃, and each w_k by itself is
+bounded as any disturbance is: see `docs/theory/beyond.md`, *Practical tracking*. An ellipsoid for several w_k with
+weights that sum to 1 gives nothing less than the sum of those of each: p_k Q is one for w_k alone.
 
-    (e, Δ)' = M (e, Δ) + Σ (E_k, −E_k) w_k,      M ∈ conv{M_ij},  M_ij = [Ã_i + B K, B K; 0, Ã_j + L C],
-
-for f̃(x) − f̃(x_d) = Â e and f̃(x̂) − f̃(x) = Ã Δ with Â and Ã in conv{Ã_i}. It is linear in its start and in all w_k
-together: what the start leaves goes to 0, and each w_k by itself is bounded as any disturbance is, by an ellipsoid (see
-`lmi.ellipsoid`) for each signal. An ellipsoid for several w_k with weights that sum to 1 gives nothing less than that
-sum: p_k Q is one for w_k alone. Where the loop has one matrix its peak gain is enclosed instead (see `lmi.peak_gain`).
-
-Where (9) holds for the cells of f the observer may run these: then Δ goes to 0 whatever w does, and in the end
-e' = (Â + B K) e + Σ E_k w_k.
+Where (9) holds for the cells of f the observer may run these: then Δ goes to 0 whatever w does, and in the end e' = (Â
++ B K) e + Σ E_k w_k.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

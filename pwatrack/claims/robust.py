@@ -1,19 +1,9 @@
 """What is proved of the loop for every plant of a box: the plants at its corners, and all their means.
 
-Let x' = f_p(x) + B_p u be the plant that runs, with the cells of the one that the controller knows, f and B. With
-e = x − x_d, Δ = x̂ − x and u = K (e + Δ) + u_ff, (18) and (19) give
-
-    e' = f_p(x) − f_p(x_d) + B_p K (e + Δ) + w,      w = f_p(x_d) − f(x_d) + (B_p − B) u_ff,
-    Δ' = f(x̂) − f(x) + L C Δ − (f_p − f)(x) + (f_p − f)(x_d) − (B_p − B) K (e + Δ) − w.
-
-Along the segment from x_d to x, f_p and f change by the matrices of the same cells in the same shares, so
-
-    (e, Δ)' = M (e, Δ) + (w, −w),    M ∈ conv{M_cij},
-    M_cij = [A_i(c) + B(c) K, B(c) K; A_i − A_i(c) − (B(c) − B) K, A_j + L C − (B(c) − B) K]
-
-for the corners c and all cells i, j: M is affine in A_i(p) and B_p. One ellipsoid for each entry of w that is not 0
-bounds every signal, as in `bounds`; p may change with time, in any way. The desired trajectory is that of the known
-plant, and does not depend on p.
+With w = f_p(x_d) − f(x_d) + (B_p − B) u_ff the errors obey (e, Δ)' = M (e, Δ) + (w, −w), M in the hull of the M_cij of
+all corners c and cells i, j: see `docs/theory/beyond.md`, *Uncertain parameters*. One ellipsoid for each entry of w
+that is not 0 bounds every signal, as in `bounds`; p may change with time, in any way. The desired trajectory is that
+of the known plant, and does not depend on p.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

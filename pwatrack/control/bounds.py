@@ -1,22 +1,10 @@
 """What a disturbance, the noise of a sensor or a start can do to each signal: bounds in the signal's own unit.
 
-With d added to the k-th state equation, or to the k-th measured output, (1), (18) and (19) give for e = x − x_d and
-Δ = x̂ − x
-
-    (e, Δ)' = M (e, Δ) + g d,      M ∈ conv{M_ij},   M_ij = [A_i + B K, B K; 0, A_j + L C],
-
-g = (ε_k, −ε_k) for the disturbance and g = (0, −L ε_k) for the noise, ε_k the k-th unit vector: f is continuous and
-linear in each cell, so f(x) − f(x_d) = Â e and f(x̂) − f(x) = Ã Δ with Â and Ã in conv{A_i}, each for itself. An
-ellipsoid of this system (see `lmi.ellipsoid`) bounds every linear form of (e, Δ) at once: c e for a tracked row c,
-K (e + Δ) = u − u_ff, Δ.
-
-From a start with one entry of (e, Δ) at 1 and the others at 0 an ellipsoid that holds it bounds every signal for good.
-
-Where all cells have one matrix, the exact peak gain is enclosed too (see `lmi.peak_gain`).
-
-Along one solution the system is linear in its start and in all d together. So |c (e, Δ)| is at most a part that goes to
-0 as e^(−rate t), from the start, plus the sum of bound · sup |d| over all that disturbs; from error 0 the sum alone.
-The part from the start is at most the sum of bound · |entry| over all entries of the start.
+The loop is (e, Δ)' = M (e, Δ) + g d for e = x − x_d and Δ = x̂ − x, with M in the hull of the M_ij of pairs of cells,
+g = (ε_k, −ε_k) for d added to the k-th state equation and g = (0, −L ε_k) for the k-th measured output. An ellipsoid of
+it, or its peak gain where all cells have one matrix, bounds linear forms of (e, Δ): c e for a tracked row c,
+K (e + Δ) = u − u_ff, Δ. Bounds of all that acts, and of all entries of a start, add up: it is proved in
+`docs/theory/beyond.md`, *Bounds, one signal at a time*.
 
 Where loads are estimated, Δ has the errors of their estimates below x̂ − x, A_j and C are those of plant and loads
 together, and what drives e instead of B K is their coupling (see `compensation`), by which noise reaches e too:

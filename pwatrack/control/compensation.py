@@ -1,18 +1,14 @@
 """What makes up for unknown loads in the desired trajectory, and how the errors of their estimates drive it.
 
-With ẋ = f(x) + B u + E s, ṡ = S s, the observer runs x̂ and ŝ; (9) for [A_i, E; 0, S] and [C, 0] proves ŝ → s. With
-g_0 = 0, g_{k+1} = c_k E + g_k S for each output, G = [g; 0], X = −T_i⁻¹ G and W_i = T_i (A_i X + E) + G S the desired
-trajectory takes x_d + X ŝ, u_ff − (right inverse of D_i) W_i[last] ŝ and η̂' + W_i[η] ŝ: then y_d stays exact, and
-e = x − x_d, σ = ŝ − s have
+With ẋ = f(x) + B u + E s, ṡ = S s, the observer runs x̂ and ŝ. With g_0 = 0, g_{k+1} = c_k E + g_k S for each output,
+G = [g; 0], X = −T_i⁻¹ G and W_i = T_i (A_i X + E) + G S the desired trajectory takes x_d + X ŝ, u_ff − (right inverse
+of D_i) W_i[last] ŝ and η̂' + W_i[η] ŝ. Then e = x − x_d and σ = ŝ − s have
 
-    e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ),
+    e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ).
 
-so that e → 0 as (8) and (9) say, for every s, matched (E = B U: X = 0, W_i[η] = 0, u_ff − U ŝ) or not: it is derived in
-`docs/theory/beyond.md`. X is to be the same in all cells, as it is unless a last derivative is piecewise affine. For
-state tracking x_d is given: loads must be matched then, X = 0 and u_ff − U ŝ.
-
-Where η is worked out beforehand, there is no η̂ to be driven. With η + H ŝ in its place, G = [g; −H] in all of this, it
-need not be, if one H makes the rows of W_i below r vanish in all cells: A_ηi H − H S = −W_i[η] with H = 0 on the right.
+It is derived in `docs/theory/beyond.md`, *Unknown loads*. X is to be the same in all cells, as it is unless a last
+derivative is piecewise affine. For state tracking x_d is given: loads must be matched then (E = B U), X = 0 and u_ff −
+U ŝ. Where η is worked out beforehand, η + H ŝ is played in its place, and G = [g; −H] in all of this.
 """
 
 from dataclasses import dataclass

@@ -1,24 +1,13 @@
 """What the program makes of estimates of loads in x_d, u_ff and η̂, and what errors of these do to a sampled loop.
 
-Let x_d, u_ff and η be those of the true loads s, in continuous time, (15) and (16) with `control.compensation`. Of
-v = (ŝ, η̂), as the program has it at a tick, x_d is more by D_j ε than that of the true loads, with
-ε = (ŝ − s, η̂ − η) and D_j = [X, N_j], N_j the columns of T_j⁻¹ for η; v' is more by F_j ε, F_j = [S, 0; W_j, A_ηj].
-Both are continuous in v: one mean j of the cells on the way goes for both. What moves x_d along is
-w = (ξ_d', η') − G S s, x_d' = T_a⁻¹ w in the cell a of x_d, and B u_ff = x_d' − f(x_d) − E s. So
+Let ε be what v = (ŝ, η̂) of a tick is more than that of the true loads, and j a mean of the cells on the way. Then x_d
+is more by D_j ε, D_j = [X, N_j], v' by F_j ε, F_j = [S, 0; W_j, A_ηj], and in the cell a of x_d
 
-    B u_ff is more by (c_aj − A_j D_j) ε,   c_aj = [X S − E, 0] + N_a [F_j]_η,
+    B u_ff by (c_aj − A_j D_j) ε, c_aj = [X S − E, 0] + N_a [F_j]_η,     x − x_d is driven by (c_aj − A_i D_j) ε,
 
-the rows of F_j for η, but for (T_a⁻¹ − T_b⁻¹) w of the true loads, in their cell b: that is the jump of u_ff where a
-last derivative is piecewise affine; it acts from outside, and is 0 where the reference is at rest. In a sample the
-program goes on by the law of the cell a: with u_a the rows of u_ff on v, η̂ one sample later, and the mean of u_ff,
-which is held, are
-
-    v + P(F_a) v',   u_ff + u_a Q(F_a) v',   P(F) = ∫ e^(F τ) dτ over h,   Q(F) = ∫ (h − τ) e^(F τ) dτ / h
-
-So u is more by u_a Q(F_a) F_j ε beside that, and δ⁺ = δ + [P(F_a) F_j ε]_η for δ = η̂ − η, for any cell a and any j,
-but for (u_a Q(F_a) − u_b Q(F_b)) v' and the like, which act from outside likewise. With q = D_j ε, held, the field of
-all cells has f(x) − f(x_d) = A_i (x − x_d − q) + A_j q, where A_j D_j is that of u_ff but for what A_j − A_k makes of
-how far x_d moved since the tick, which acts from outside too. So x − x_d is driven by (c_aj − A_i D_j) ε.
+beside what acts from outside. One sample later v is v + P(F_a) v', and the mean of u_ff, which is held, is u_ff + u_a
+Q(F_a) v', u_a the rows of u_ff on v, P(F) = ∫ e^(F τ) dτ over h and Q(F) = ∫ (h − τ) e^(F τ) dτ / h. It is derived in
+`docs/theory/beyond.md`, *A loop that is sampled*, under loads elsewhere.
 """
 
 from collections.abc import Sequence

@@ -1,18 +1,10 @@
 """What any reference that keeps its limits takes of the inputs: an interval that u_ff of (16) never leaves, proved.
 
-Let v = (ξ_d, y_d⁽ʳ⁾) be in a box of centre v_c and half-widths w at all times, whatever the set-points are. By (15)
-η̂' = f(ξ_d, η̂), continuous and affine in each cell. With z = η̂ − η_c − M (ξ_d − ξ_c), any M,
-
-    z' = Ψ̂ z + (χ̂ + Ψ̂ M) (ξ_d − ξ_c) − M ξ̇_d + f(ξ_c, η_c),     (χ̂, Ψ̂) in the hull of all (χ_i, Ψ_i),
-
-and ξ̇_d is part of v: so z is driven by each entry of v − v_c as in one cell, by as much more as others differ from that
-one, and it has a start. For each of these an ellipsoid bounds rows of z (see `lmi.ellipsoid`); along one solution they
-add up. In a cell u_ff is c (v − v_c, z) + γ, where rows have R (v − v_c, z) + ρ ≥ 0. So for every λ ≥ 0
-
-    u_ff ≤ (c + λ R) (v − v_c, z) + γ + λ ρ ≤ |c + λ R| (w, most of z) + γ + λ ρ,
-
-and the least of these is the largest u_ff there (duality of linear programs). Where λ R (v − v_c, z) + λ ρ is negative
-for all of them, the cell is not reached.
+v = (ξ_d, y_d⁽ʳ⁾) is in a box of centre v_c and half-widths w, whatever the set-points are, and z = η̂ − η_c − M (ξ_d −
+ξ_c), any M, is driven by each of its entries, by as much more as other cells differ, and from a start. For each of
+these an ellipsoid bounds rows of z (see `lmi.ellipsoid`); along one solution they add up. In a cell u_ff is c (v −
+v_c, z) + γ, where rows have R (v − v_c, z) + ρ ≥ 0: it is at most |c + λ R| (w, most of z) + γ + λ ρ for every λ ≥ 0.
+It is derived in `docs/theory/beyond.md`, *What they take of the inputs*.
 """
 
 from collections.abc import Iterator, Sequence

@@ -2,13 +2,9 @@
 
 In a tick each row of a table is off by what its entries and its result are rounded by, times how large the numbers get
 that it is of. What that is of predictions and corrections kicks (x̂, ŝ), of the law u; what generator and reference are
-off by is seen by running them, along the whole run, and kicks u too. A cell of x̂ that rounding takes for another is
-that of a point p beside x̂: with H_S rows of the planes that are contradicted, by ε at most, and are independent,
-|p − x̂| ≤ |H_S⁺| ε (the point of a polyhedron that is nearest has such rows, and multipliers of one sign). So x̂ is
-kicked to p as a substep begins, and back as it ends.
-
-Without what drives it V of a tube of `lmi.clocked_tubes` falls: V^½ by (1 − b)^½ e^(−a h / 2) in a sample, or more. So
-kicks of size δ in V^½ leave δ / (1 − (1 − b)^½ e^(−a h / 2)) of it, from 0 on.
+off by is seen by running them, along the whole run, and kicks u too. Where rounding takes another cell, x̂ is kicked to
+a point of that one and back. Kicks of size δ in V^½, V a tube of `lmi.clocked_tubes`, leave
+δ / (1 − (1 − b)^½ e^(−a h / 2)) of it, from 0 on: see `docs/theory/beyond.md`, *A loop that is sampled*, on rounding.
 """
 
 from contextlib import suppress

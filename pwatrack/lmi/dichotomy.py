@@ -1,18 +1,9 @@
 """(17±): one P of any sign for all cells, so that there is exactly one bounded solution; or proof that there is none.
 
-With P = Pᵀ and M_i P + P M_iᵀ ≺ 0 in all cells, d/dt eᵀPe ≤ −ε |e|² for e' = A(t) e with A(t) in the hull of the
-A_i = M_iᵀ. Such a form gives an exponential dichotomy on all of ℝ, with constants that depend on P, ε and the A_i only
-(Coppel, Dichotomies in Stability Theory, 1978, lecture 7). Hence η' = F(t, η), F continuous and piecewise affine with
-these slopes and F(·, 0) bounded, has exactly one bounded solution, periodic where F is. P ≻ 0 is (17).
-
-That there is no such P is proved in two ways.
-
-- *Multipliers.* With Z_i ⪰ 0, not all 0, and Σ (Z_i M_i + M_iᵀ Z_i) = 0 the traces of Z_i (M_i P + P M_iᵀ) add up to 0,
-  where a P would make the sum negative (the theorem of alternatives). One Z of one cell with a mode on the imaginary
-  axis is such a proof.
-- *Numbers.* Where M P + P Mᵀ ≺ 0, no eigenvalue of M is on the imaginary axis and as many are to the left of it as P
-  has positive ones (Ostrowski and Schneider, 1962). So two cells with such a P each, but with different numbers of
-  positive eigenvalues, have none in common.
+Why M_i P + P M_iᵀ ≺ 0 in all cells, M_i the transpose of A_i, makes η' = F(t, η) have one, and why no P does that where
+Z_i ⪰ 0, not all 0, have Σ (Z_i M_i + M_iᵀ Z_i) = 0, or two cells a P each with different numbers of positive
+eigenvalues, is in `docs/theory/beyond.md`, *Zero dynamics with unstable modes*. P ≻ 0 is (17). One Z of one cell with a
+mode on the imaginary axis is such a proof.
 """
 
 import warnings

@@ -1,24 +1,12 @@
 """What a bounded scalar, or a start, can do to a switched system: an ellipsoid that it cannot leave, proved exactly.
 
-Let z' = M(t) z + g d with M(t) in the convex hull of the M_p, and Q ≻ 0, a > 0 with
+Let z' = M(t) z + g d with M(t) in the convex hull of the M_p, Q ≻ 0, a > 0, for every p and every row c:
 
-    M_p Q + Q M_pᵀ + a Q + g gᵀ / a ≺ 0   for every p.
+    M_p Q + Q M_pᵀ + a Q + g gᵀ / a ≺ 0:                |c z| ≤ √(c Q cᵀ) sup |d| from z = 0,
+    M_p Q + Q M_pᵀ + a Q ≺ 0, Q ≻ G Gᵀ:                 |c z| ≤ √(c Q cᵀ) e^(−a t / 2) from z = G v, |v| ≤ 1,
+    M_p Q + Q M_pᵀ ≺ 0, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1:  |c z| ≤ √(c Q cᵀ) from z = G ζ, |ζ_k| ≤ 1.
 
-Then V = zᵀ Q⁻¹ z has V' ≤ −a V + a d² (proved in `docs/theory/beyond.md`): from z = 0 always V ≤ sup d², and
-|c z| ≤ √(c Q cᵀ) √V ≤ √(c Q cᵀ) sup |d| for every row c (Boyd et al., Linear Matrix Inequalities in System and Control
-Theory, 1994, section 6.1.3).
-
-Of a start z(0) = G v with |v| ≤ 1 and d = 0 the same is said by
-
-    M_p Q + Q M_pᵀ + a Q ≺ 0   for every p,   Q ≻ G Gᵀ:
-
-V ≤ 1 at the start, V' ≤ −a V, and |c z(t)| ≤ √(c Q cᵀ) e^(−a t / 2) at all times.
-
-From which starts some linear forms stay small for good is said in the same way. Let z(0) = G ζ with |ζ_k| ≤ 1, a box
-seen through G = [g_1 …]. For weights w_k > 0 with Σ w_k ≤ 1 this has z(0) z(0)ᵀ ⪯ G diag(1 / w) Gᵀ (proved in
-`docs/theory/beyond.md`). With Q ⪰ G diag(1 / w) Gᵀ, Q ≻ 0, that is z(0)ᵀ Q⁻¹ z(0) ≤ 1. With M_p Q + Q M_pᵀ ≺ 0 for
-every p it stays so, and |c z| ≤ √(c Q cᵀ) at all times for every row c (Boyd et al., section 5.2). What holds from z(0)
-holds in proportion from multiples of it.
+They are proved in `docs/theory/beyond.md`, *Bounds, one signal at a time* and *Limits of the inputs*.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,12 +1,8 @@
 """Multipliers that speak against all gains: found in floating point, rounded to rational ones, and proved.
 
-If Z_i ⪰ 0, not all 0, Σ Z_i B = 0 and Σ (Z_i A_i + A_iᵀ Z_i) ⪰ 0, then no P ≻ 0 and Y have
-A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ ≺ 0 for all i (the theorem of alternatives for (8), proved in `docs/theory/proofs.md`; for
-given gains B is empty). Where only one Z_i
-is not 0 it need not be ⪰ 0, it is enough that it is not ⪯ 0: A + BK with Z (A + BK) + (·)ᵀ ⪰ 0 is
-then not Hurwitz, since for a Hurwitz matrix Lyapunov's equation would make Z ⪯ 0.
-
-If Σ (Z_i A_i + A_iᵀ Z_i) = 0, the traces of Z_i (A_i P + P A_iᵀ) add up to 0: then no P = Pᵀ of any sign does either.
+Z_i ⪰ 0, not all 0, with Σ Z_i B = 0 and Σ (Z_i A_i + A_iᵀ Z_i) ⪰ 0 leave no P ≻ 0 and Y for (8) (the theorem of
+alternatives, proved in `docs/theory/proofs.md`; for given gains B is empty). Where only one Z_i is not 0 it need not be
+⪰ 0, it is enough that it is not ⪯ 0. With Σ (Z_i A_i + A_iᵀ Z_i) = 0 no P = Pᵀ of any sign does either.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,24 +1,12 @@
 """Polynomials that decay along every switching: sought where no quadratic form does, and proved exactly.
 
-Let e' = A(t) e with A(t) in the convex hull of matrices A_i, and let m hold the monomials of degree d of z = T e; their
-lifts 𝒜_i are those of T A_i T⁻¹. If there are P ≻ 0 and N_i with
+V = mᵀ P m, with m the monomials of degree d of z = T e, takes the place of a common P: what that needs and proves is in
+`docs/theory/beyond.md`, *Polynomials in place of a common P*. For d = 1 these are the inequalities of the paper.
 
-    sym(P 𝒜_i) + N_i + 2 d α P ≺ 0   and   mᵀ N_i m = 0 for all z,
-
-then V = mᵀ P m has V > 0 and V' < −2 d α V for all e ≠ 0, and |e| falls as e^(−αt). With a disturbance,
-e' = A(t) e + w, W = V^(1/2d) has W' ≤ −α W + c/(2d) |w|: errors stay bounded while w does, and go to 0 with it. That is
-what Theorems 2 and 3 use of (8), (9) and (17), and all they use: the difference of two solutions of a continuous
-piecewise affine system obeys such an e' = A(t) e + w. It is proved in `docs/theory/beyond.md`.
-
-For d = 1 there is no N but 0, and these are the inequalities of the paper. A term N_0 beside P would add nothing:
-P + N_0 has the same V, and the difference in sym(P 𝒜_i) is half of d/dt mᵀ N_0 m = 0.
-
-**Monomials.** For e ∈ ℝⁿ let m(e) hold the N = C(n + d − 1, d) monomials e^a of degree d. Along e' = A e they obey
-m' = 𝒜 m with 𝒜[a, a − ε_j + ε_k] = Σ a_j A_jk: the lift 𝒜 is linear in A, and its coefficients are whole numbers, none
-negative. A polynomial of degree 2d is mᵀ X m for many X: mᵀ N m is 0 for all e where the entries N_ab with the same
-a + b add up to 0, and only there.
-
-Counted in weights w_a = √(d! / a!) the monomials w_a e^a have |m|² = |e|^2d, and the lift of a rotation is one.
+Along e' = A e the monomials e^a obey m' = 𝒜 m with 𝒜[a, a − ε_j + ε_k] = Σ a_j A_jk: the lift 𝒜 is linear in A, and
+its coefficients are whole numbers, none negative. mᵀ N m is 0 for all e where the entries N_ab with the same a + b add
+up to 0, and only there. Counted in weights w_a = √(d! / a!) the monomials w_a e^a have |m|² = |e|^2d, and the lift of a
+rotation is one.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,16 +1,12 @@
 """Polynomials in place of the ellipsoids of `saturated`: they hold more of what goes to 0 with inputs at their limits.
 
 With the vertices X = M_p + B_S (H_S − D_S) of `saturated` and m(e) the monomials of degree d of z = T e, as in
-`polynomial`, let P ≻ 0 with
+`polynomial`, V = mᵀ P m falls from every start G ζ, |ζ_k| ≤ 1, with inputs cut off anywhere beyond s, if P ≻ 0 and
 
-    sym(P 𝒳) + N_X ≺ 0  for every vertex X,      |H_j e|^2d ≤ s_j^2d V,      V(G ζ) ≤ Σ w_a ζ^2a,  Σ w_a ≤ 1
+    sym(P 𝒳) + N_X ≺ 0  for every vertex X,      |H_j e|^2d ≤ s_j^2d V,      V(G ζ) ≤ Σ w_a ζ^2a,  Σ w_a ≤ 1.
 
-for V = mᵀ P m. Then V falls from every start G ζ, |ζ_k| ≤ 1, with inputs cut off anywhere beyond s: V ≤ 1 there, and
-where V ≤ 1 each v_j is a mean of D_j e and H_j e. Of c times these starts and c times s it is the same. For d = 1 this
-is `saturated`. Proved in `docs/theory/beyond.md`.
-
-P and H are sought in turn: with H given all is linear in P, N and w, and so is what a small change of H adds to it. The
-freedom that is left makes the region large.
+It is proved in `docs/theory/beyond.md`, *Limits of the inputs*. P and H are sought in turn: with H given all is linear
+in P, N and w, and so is what a small change of H adds to it. The freedom that is left makes the region large.
 """
 
 from collections.abc import Iterator, Sequence

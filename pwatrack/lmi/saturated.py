@@ -1,14 +1,11 @@
 """Inputs that are cut off at limits: from which starts z goes to 0 all the same, proved exactly.
 
-Let z' = M(t) z + B (v − D z) with M(t) in the convex hull of the M_p, and v_j what limits make of D_j z: it is D_j z
-where |D_j z| ≤ ū_j, and else between D_j z and 0 and no smaller than ū_j in size. For rows H with |H_j z| ≤ ū_j each
-v_j is a mean of D_j z and H_j z, so v is one of the 2^m vectors with rows of either (Hu and Lin, Control Systems with
-Actuator Saturation, 2001). With Q ≻ 0 and
+Let z' = M(t) z + B (v − D z) with M(t) in the convex hull of the M_p, v_j what limits make of D_j z, and rows H. With
 
     sym((M_p + B_S (H_S − D_S)) Q) ≺ 0   for every p and every set S of inputs,      H_j Q H_jᵀ ≤ ū_j²
 
-V = zᵀ Q⁻¹ z falls from every start with V ≤ 1, with limits active (proved in `docs/theory/beyond.md`). With H = 0 it
-falls from every start, whatever ū is. Linear in Q and Z = H Q.
+V = zᵀ Q⁻¹ z falls from every start with V ≤ 1, with limits active; with H = 0 from every start, whatever ū is. It is
+proved in `docs/theory/beyond.md`, *Limits of the inputs*. Linear in Q and Z = H Q.
 
 For D = K it is linear in Y = K Q too: so a gain may be sought together with the starts from which limits of its inputs
 do no harm, or, with H = K, with those from which no limit is reached (Boyd et al., Linear Matrix Inequalities in System
@@ -136,11 +133,9 @@ class SaturatedLoop:
     def against_windup(self, G: Array, room: Array, free: int, rate: float, faster: float) -> Array | None:
         """Return E (free, m) in the last rows of B, with which the largest multiple of starts G ζ is held, as `sought`.
 
-        With ψ = D z − v each ψ_j is between 0 and (D_j − H_j) z, so ψᵀ T⁻¹ (ψ − (D − H) z) ≤ 0 for every diagonal
-        T ≻ 0, and V falls if [sym(M_p Q), Q (D − H)ᵀ − B T; ·, −2 T] ≺ 0: linear in Q, Z, T and E T (Gomes da Silva and
-        Tarbouriech, 2005). Of one input this is no less than the vertices are, by the S-lemma. V falls at a `rate`, in
-        1/s, and at most so many times `faster` than what falls fastest without limits, by the same multipliers: so that
-        ticks do nearly what E does.
+        It is one program, linear in Q, Z, T and E T: see `docs/theory/beyond.md`, *Limits of the inputs*. V falls at a
+        `rate`, in 1/s, and at most so many times `faster` than what falls fastest without limits, by the same
+        multipliers: so that ticks do nearly what E does.
 
         Example: z₁' = z₁ + v with v = −3 (z₁ + z₂) cut off at ±1, z₂' = −z₂ + E (v + 3 (z₁ + z₂)).
 

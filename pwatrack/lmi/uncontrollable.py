@@ -1,11 +1,8 @@
 """Modes that no gain moves and that do not decay: of one cell, with a multiplier, or of a mean of cells.
 
-A mode of one cell that B does not reach, vᵀ B = 0 and vᵀ A_i = μ vᵀ with Re μ ≥ 0, is refuted in exact numbers.
-
-A mean of cells whose mode no gain moves, though it moves those of each cell, is proved by Newton's method in fractions:
-(8) speaks of all matrices in the hull of the cells. Let v ≠ 0, μ ≥ 0 and w_i ≥ 0 with Σ w_i = 1 have vᵀ B = 0 and
-vᵀ Σ w_i A_i = μ vᵀ. Then vᵀ Σ w_i (A_i P + P A_iᵀ + B Y + Yᵀ Bᵀ) v = 2 μ vᵀ P v ≥ 0: no P ≻ 0 and Y have all these ≺ 0.
-The multipliers w_i v vᵀ say the same, but v, μ and w are hardly ever fractions.
+Why each of these speaks against all gains is in `docs/theory/proofs.md`, *Where there is no solution*. A mode of one
+cell is refuted in exact numbers. Of a mean of cells v, μ ≥ 0 and w_i ≥ 0 with vᵀ B = 0, vᵀ Σ w_i A_i = μ vᵀ and
+Σ w_i = 1 are hardly ever fractions: that there are some is proved by Newton's method in fractions.
 
 They are the root of n equations in n unknowns where there is one more cell than B has independent columns: with the
 rows of N all that are 0 on B, v = Nᵀ z, one entry of z 1 and x the others, μ and all w but the last, it is

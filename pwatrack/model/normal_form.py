@@ -3,13 +3,8 @@
 Tracked outputs y_j with relative degrees r_j give ξ_j = (y_j, …, y_j⁽ʳ⁻¹⁾). All of these are linear in the state but
 the last, which may be another affine form c_i x + d_i in each cell i. With C_i these last rows, D_i = C_i B, and Z
 (m, p) the directions that inputs take, u = Z (D_i Z)⁻¹ v makes y⁽ʳ⁾ = C_i (A_i x + b_i) + v. η = N x with N B Z = 0, so
-v does not enter η̇ either.
-
-All coordinates but the last of each ξ_j are linear, and constant along B Z. Along B Z the last ones are continuous and
-piecewise linear with the slopes D_i Z, and where no matrix in the hull of these is singular two points have different
-values: their difference is such a matrix times that of the points. So Φ: x → (ξ, η) is one-to-one, and onto. That hull
-is free of singular matrices if sym(S D_i Z D⁻¹ S⁻¹) ≻ 0 in all cells, D the mean of all D_i Z and S some diagonal
-matrix; for one output and input that says that all δ_i have one sign.
+v does not enter η̇ either. Why x → (ξ, η) is one-to-one and onto where no matrix in the hull of the D_i Z is singular,
+and how that is proved, is in `docs/theory/beyond.md`, *A last derivative that is piecewise affine*.
 """
 
 from collections.abc import Sequence

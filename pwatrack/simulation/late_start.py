@@ -1,13 +1,9 @@
 """What a run whose inputs are late is like up to the tick at which the first input acts.
 
 Till then x goes on under no input and the run's own disturbances, whatever is measured: it is walked from facet to
-facet, with x_d of the true loads beside it. The program predicts: without noise each prediction x̃ is c, known too. In a
-substep that x̃ begins in cell a, and c in cell 0, let ν' = A_a ν for what noise and rounding add: that is what tubes of
-`control.sampled_disturbances` are of, as none of it is in an input yet. The rest, ε = x̃ − c − ν, has
-
-    ε' = A_a ε + g,   g = (A_a − A₀) c + b_a − b₀
-
-so |ε| ≤ e^(|A_a| τ) (|ε(0)| + τ sup |g|) all along a substep τ, and 0 where nothing but cell 0 is near.
+facet, with x_d of the true loads beside it. The program predicts: without noise each prediction x̃ is c, known too, and
+noise adds what tubes of `control.sampled_disturbances` are of. What is left where x̃ begins a substep in another cell
+than c is bounded all along it: see `docs/theory/beyond.md`, *The start of a run with late inputs*.
 
 Where ticks are up to θ off their times, as in `control.off_time`, c is what is predicted from y at these times. So y is
 measured off by θ sup |C x'| more; and as the first input acts e = x − x_d is off what it is at its time by θ sup |e'|,
