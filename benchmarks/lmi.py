@@ -31,6 +31,7 @@ from rich.console import Console
 from scipy import sparse
 
 from benchmarks.corpus import feasible, infeasible, observed
+from benchmarks.measured import dual_off, violation
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import different
 from pwatrack.control.proof import prove_inequality
@@ -97,13 +98,13 @@ def program_of(kind: str, n: int, cells: int) -> SemidefiniteProgram:
 def ours(program: SemidefiniteProgram) -> float:
     """Return the objective that we find, of a point that satisfies all constraints."""
     found = solve(program, gap=GAP)
-    return np.nan if found is None or found.violation > 0 else found.objective
+    return np.nan if found is None or violation(found) > 0 else found.objective
 
 
 def certain(program: SemidefiniteProgram) -> float:
     """Return how far our objective may be from the least one, as a share: what the multipliers say."""
     found = solve(program, gap=GAP)
-    return np.nan if found is None else (found.gap + found.dual_off) / abs(found.objective)
+    return np.nan if found is None else (found.gap + dual_off(found)) / abs(found.objective)
 
 
 def cvxpy(solver: str, **options: Any) -> Callable[[SemidefiniteProgram], float]:
@@ -159,7 +160,7 @@ def clarabel_refutes(program: SemidefiniteProgram) -> float:
 def refuted(program: SemidefiniteProgram) -> float:
     """Return 1 if our multipliers bound the least violation away from 0."""
     found = solve(program, gap=_KNOWN, against=0.0)
-    return np.nan if found is None else float(found.bound > found.dual_off)
+    return np.nan if found is None else float(found.bound > dual_off(found))
 
 
 def _clarabel(program: SemidefiniteProgram) -> Any:

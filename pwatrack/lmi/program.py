@@ -56,11 +56,6 @@ class SemidefiniteProgram:
         parts += [self.weight, self.cost, *(E for E, _ in self.equalities)]
         return all(X is None or bool(np.isfinite(X).all()) for X in parts)
 
-    def left_sides(self, P: Array, Y: Array, t: float) -> list[Array]:
-        """Return those of all constraints, each (l, N, N)."""
-        sides = [c.evaluate(P, Y) for c in self.constraints]
-        return [side if c.T is None else side + t * c.T for c, side in zip(self.constraints, sides, strict=True)]
-
     def objective(self, P: Array, t: float) -> float:
         """Return what is to be small."""
         if self.price:
@@ -97,18 +92,8 @@ class Solution:
         return self.program.objective(self.P, self.t)
 
     @property
-    def violation(self) -> float:
-        """The largest eigenvalue of a left-hand side: negative where all constraints hold strictly."""
-        return max(float(np.linalg.eigvalsh(side).max()) for side in self.program.left_sides(self.P, self.Y, self.t))
-
-    @property
-    def off(self) -> float:
-        """How far the equalities are from being one, at most."""
-        return max((abs(float((E * self.P).sum()) - value) for E, value in self.program.equalities), default=0.0)
-
-    @property
     def bound(self) -> float:
-        """Below which the objective cannot be, if the multipliers are what they should be: see `dual_off`.
+        """Below which the objective cannot be, if the multipliers are what they should be.
 
         It is Σ tr Z_i C_i − Σ y_k value_k, and the least of tr V P⁻¹ Vᵀ + tr G P, which is 2 tr (V G Vᵀ)^½, where that
         is the objective.
@@ -127,22 +112,6 @@ class Solution:
     def gap(self) -> float:
         """Between the objective and its bound; infinite where there is none."""
         return self.objective - self.bound
-
-    @property
-    def dual_off(self) -> float:
-        """How far the multipliers are off: the largest entry of the gradient of what they make of the objective.
-
-        Where that is tr V P⁻¹ Vᵀ + tr G P, how far G is from G ⪰ 0.
-        """
-        if self.multipliers is None:
-            return np.inf
-        G, H, h = self._adjoint
-        rest = G + self.program.slope
-        for y, (E, _) in zip(self._prices, self.program.equalities, strict=True):
-            rest = rest + y * E
-        if self.program.weight is not None:
-            rest = np.minimum(np.linalg.eigvalsh(rest), 0.0)
-        return max(float(np.abs(rest).max()), float(np.abs(H).max(initial=0.0)), abs(h + self.program.price))
 
     @cached_property
     def _adjoint(self) -> tuple[Array, Array, float]:
