@@ -40,7 +40,8 @@ def batch(
         if path.suffix.lower() not in WRITERS:
             raise InvalidSpec(f"--report {path}: its ending says its kind, one of {', '.join(WRITERS)}")
     writers = [(WRITERS[path.suffix.lower()], path) for path in reports] + ([(write_junit, junit)] if junit else [])
-    print_left_out(left_out(paths, options.pattern))
+    for path, reason in left_out(paths, options.pattern):
+        console(stderr=True).print(f"{path}: left out: {reason}", soft_wrap=True)
     ended: Sequence[SpecOutcome] = []
     try:
         workers: AbstractContextManager[Cluster | None] = nullcontext()
@@ -140,9 +141,3 @@ def print_batch(outcomes: Sequence[SpecOutcome]) -> None:
     for outcome in outcomes:
         if outcome.failed:
             errors.print(f"{outcome.spec}: {outcome.ending}\n{outcome.messages}", soft_wrap=True)
-
-
-def print_left_out(left_out: Sequence[tuple[Path, str]]) -> None:
-    """Say on stderr which specs are not run, and why."""
-    for path, reason in left_out:
-        console(stderr=True).print(f"{path}: left out: {reason}", soft_wrap=True)

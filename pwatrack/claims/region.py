@@ -165,8 +165,7 @@ def _with_loads(room: Headroom, words: Words, controller: ProvedController, one:
 
 def _smaller(controller: ProvedController, cheaper: Array) -> float:
     """Return how many times as large as K the gain of least cost is, in sizes."""
-    norms = map(controller.sizes.norm, (cheaper, controller.K))
-    return next(norms) / next(norms)
+    return controller.sizes.norm(cheaper) / controller.sizes.norm(controller.K)
 
 
 def nothing_left(room: Headroom) -> str:

@@ -131,8 +131,7 @@ class SampledLoop(SampledClaim):
             E = matrix_text(self.gains.E)
             yield "", f"and x̂ moves by E = {E} times what limits cut off an input, against windup"
         if self.cheaper is not None:
-            norms = map(controller.sizes.norm, (self.cheaper, self.gains.K))
-            share = next(norms) / next(norms)
+            share = controller.sizes.norm(self.cheaper) / controller.sizes.norm(self.gains.K)
             much = f"{share:.2g} times smaller" if share >= 1 else f"{1 / share:.2g} times larger"
             yield "", f"K is made for starts with inputs at limits: {much} in sizes than {matrix_text(self.cheaper)}"
 

@@ -75,22 +75,18 @@ def _proved(form: NormalForm, *, preview: bool) -> Found | Dichotomy:
             remedy=Remedy(Way.STATE_TRACKING),
         )
     except Infeasible as refusal:
-        evidence = refusal.evidence
-        if not preview or not (isinstance(evidence, Impossibility) and _stuck(evidence.refutation)):
+        against = refusal.evidence.refutation if isinstance(refusal.evidence, Impossibility) else None
+        stuck = isinstance(against, Refutation) and against.eigenvalues  # else a P of any sign would be one of (17)
+        if not (preview and stuck):
             raise
         found = prove_dichotomy(GENERATOR, exact)
         if found is not None:
             return found
-        against = refute_dichotomy(GENERATOR, exact)
-        told = [problem.followed(_no_preview(against, form.plant.cell_names)) for problem in refusal.problems]
-        if against is None:
+        none = refute_dichotomy(GENERATOR, exact)
+        told = [problem.followed(_no_preview(none, form.plant.cell_names)) for problem in refusal.problems]
+        if none is None:
             raise Undecided(*told) from None
-        raise Infeasible(*told, evidence=Impossibility(role=GENERATOR, rate=0.0, refutation=against)) from None
-
-
-def _stuck(refutation: Refutation | NoDichotomy) -> bool:
-    """Say whether (17) is refuted by a cell that is not stable by itself: else a P of any sign would be one of (17)."""
-    return isinstance(refutation, Refutation) and bool(refutation.eigenvalues)
+        raise Infeasible(*told, evidence=Impossibility(role=GENERATOR, rate=0.0, refutation=none)) from None
 
 
 def _no_preview(against: NoDichotomy | None, cells: Sequence[str]) -> str:

@@ -1,15 +1,13 @@
 """What the proofs promise: how fast errors go to 0, how large they get on the way, by how much the gains may change.
 
-The field is continuous and linear in each cell, so f(x̂) − f(x) = Â (x̂ − x) with Â in the convex hull of the A_i.
-(1), (18) and (19) therefore give for Δ = x̂ − x and e = x − x_d
+Everything here follows, as in the proof of Theorem 2 (see `docs/theory/paper.md`), from
 
     Δ' = (Â + L C) Δ,        e' = (Â + B K) e + B K Δ,
 
-whatever the switching. (Where loads are estimated, Δ has the errors of the estimates too, and other columns stand for
-B K: see `compensation`.) A proof is a norm with d‖Δ‖/dt ≤ −α ‖Δ‖; likewise for e. Everything here follows from
-these two lines, as in the proof of Theorem 2. x_d is the one that the generator (15) makes, from its own start: there
-c x_d = y_d for the tracked row c. It approaches the bounded one of (13) as fast as (17) says. What disturbances do is
-in `bounds`.
+for Δ = x̂ − x and e = x − x_d, each Â in the convex hull of the A_i, and a proof, a norm with d‖Δ‖/dt ≤ −α ‖Δ‖; likewise
+for e. (Where loads are estimated, Δ has the errors of the estimates too, and other columns stand for B K: see
+`compensation`.) x_d is the one that the generator (15) makes, from its own start: there c x_d = y_d for the tracked row
+c. It approaches the bounded one of (13) as fast as (17) says. What disturbances do is in `bounds`.
 """
 
 from collections.abc import Sequence

@@ -134,6 +134,6 @@ def per_second(unit: str) -> str:
     return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
-def matrix_text(X: Array, digits: str = ".5g") -> str:
+def matrix_text(X: Array) -> str:
     """Return a matrix in a line."""
-    return "[" + "; ".join(" ".join(number_text(v, digits) for v in row) for row in X) + "]"
+    return "[" + "; ".join(" ".join(map(number_text, row)) for row in X) + "]"

@@ -1,12 +1,13 @@
 """How the loop that runs may differ from the one that the theorems are about."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from pwatrack.arrays import Array, amount, number_text
+from pwatrack.model.loads import Loads
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
@@ -110,6 +111,11 @@ class Conditions:
             rates = zip(plant.inputs, self.rates.tolist(), strict=True)
             said += [f"|d{name}/dt| at most {rate:g}" for name, rate in rates if np.isfinite(rate)]
         return said
+
+    def beside(self, loads: Loads | None) -> "Conditions":
+        """Return them without a disturbance that is such loads at all times."""
+        known = loads is not None and self.disturbance is not None and loads.are(self.disturbance)
+        return replace(self, disturbance=None) if known else self
 
     @property
     def another_plant(self) -> bool:

@@ -225,10 +225,7 @@ def _margins(found: Findings) -> Iterator[Row]:
 def _beyond(found: Findings) -> Iterator[str]:
     """Yield what no claim takes in of what is not as the theorems assume."""
     spec, controller = found.spec, found.controller
-    conditions, loads = spec.scenario.conditions, controller.plant.loads
-    disturbance = conditions.disturbance
-    if loads is not None and disturbance is not None and loads.are(disturbance):
-        conditions = replace(conditions, disturbance=None)
+    conditions = spec.scenario.conditions.beside(controller.plant.loads)
     if found.assessment.ends:
         taken = any(claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))
         steps = conditions.quanta is not None and bool(conditions.quanta.inputs.any()) and not taken

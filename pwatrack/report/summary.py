@@ -1,6 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -182,7 +182,9 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     )
     for part, region in figures["regions"].items():
         for kind, entries in region.items():
-            said = ", ".join(_varied(kind, *entry) for entry in entries.items())
+            ends = {name: [number_text(v, ".4g") for v in entry] for name, entry in entries.items()}
+            form = "{1} ≤ {0} ≤ {2}" if kind == "box" else "{0} = {1} ± {2}"
+            said = ", ".join(form.format(name, *pair) for name, pair in ends.items())
             table.add_row("", f"{part}: {said or 'nothing varies'}")
     if not figures["given"]:
         defaults = {
@@ -224,11 +226,6 @@ def _signal_labels(many: EnsembleResult) -> Iterator[tuple[str, str, str]]:
             signal = name.removeprefix("largest_input_")
             unit = units.get(signal, "")
             yield name, f"largest {signal}{f' ({unit})' if unit else ''}", ".4g"
-
-
-def _varied(kind: str, name: str, entry: Sequence[float]) -> str:
-    low, high = (number_text(value, ".4g") for value in entry)
-    return f"{low} ≤ {name} ≤ {high}" if kind == "box" else f"{name} = {low} ± {high}"
 
 
 def print_files(console: Console, folder: Path) -> None:

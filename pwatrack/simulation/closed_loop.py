@@ -106,10 +106,7 @@ class ClosedLoop:
     @property
     def beyond_the_proofs(self) -> list[str]:
         """What the loop has that the proofs are not about, each in a few words; estimated loads are part of them."""
-        loads, disturbance, conditions = self.controller.plant.loads, self.conditions.disturbance, self.conditions
-        if loads is not None and disturbance is not None and loads.are(disturbance):
-            conditions = replace(conditions, disturbance=None)
-        return conditions.texts(self.controller.plant)
+        return self.conditions.beside(self.controller.plant.loads).texts(self.controller.plant)
 
     @property
     def tracking_error(self) -> Array:

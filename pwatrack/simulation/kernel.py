@@ -1,19 +1,13 @@
-"""The compiled walk along a trajectory, from event to event, with no ODE solver.
+"""The compiled walk along a trajectory, from event to event, with no ODE solver: as in `docs/theory/events.md`.
 
-Inside a mode ż = F z. The finest step is so short that a few Taylor terms, most often 16, are e^{F h} to rounding in
-every entry; each mode has as many as it needs. Longer steps, up to the sample time, come from it by doubling.
+Inside a mode ż = F z. A step of length h is taken at once if no guard g can reach 0 on it: a guard differs from its
+chord by at most h²/8 sup |g F² e^{Fσ}| |z|; where that does not settle it, with v = F z, a = F v,
 
-A step of length h is taken at once if no guard g can reach 0 on it. A guard differs from the chord between its ends by
-at most h²/8 sup |g F² e^{Fσ}| |z|, which is bounded once per mode and step length; where that does not settle it, with
-v = F z, a = F v,
+    g z(τ) ≥ g z − ∫|g e^{Fσ}|dσ |v|,   g z(τ) ≥ min(g z, g z + h g v) − ∫(h − σ)|g e^{Fσ}|dσ |a|.
 
-    g z(τ) ≥ g z − ∫|g e^{Fσ}|dσ |v|,   g z(τ) ≥ min(g z, g z + h g v) − ∫(h − σ)|g e^{Fσ}|dσ |a|,
-
-and the integrals are bounded like that too. All these bounds hold for the numbers as they are rounded: what g z, v, a,
-g v and the state at the end of the step can be off by is added to them. If even the finest step may meet a guard, the
-guard is a Taylor polynomial in τ ∈ [0, 1] there. Its Bernstein coefficients enclose it, and those of its derivative
-tell where it is monotone, so a crossing is isolated, excluded, or reported as within rounding of the guard (Farouki,
-The Bernstein polynomial basis: a centennial retrospective, CAGD 29, 2012).
+All these bounds hold for the numbers as they are rounded: what g z, v, a, g v and the state at the end of the step can
+be off by is added to them. Else the guard is a Taylor polynomial in τ ∈ [0, 1] on the finest step (Farouki, The
+Bernstein polynomial basis: a centennial retrospective, CAGD 29, 2012).
 
 Time is in finest steps here. All compiled functions live in this one file: the cache of compiled code is renewed when
 the file of a function changes, but not when that of a function it calls does.

@@ -1,10 +1,9 @@
 """The bounded solution of internal dynamics with unstable modes: what a controller plays back that knows the reference.
 
 η' = A_i η + B_i (w, 1) in the cell of x_d, driven by an exosystem, has exactly one bounded solution where (17±) holds:
-one P = Pᵀ of any sign with P A_i + A_iᵀ P ≺ 0 in all cells makes the difference of two solutions an exponential
-dichotomy (Coppel, Dichotomies in Stability Theory, 1978, lecture 7). Run forward, it would be lost at once. Here it is
-the solution of a two-point problem: between the times at which x_d crosses a facet or the reference has a new piece, a
-stay, the stable part of η runs forward from the left end and the unstable part backward from the right end,
+see `docs/theory/beyond.md`, *Zero dynamics with unstable modes*. Here it is the solution of a two-point problem:
+between the times at which x_d crosses a facet or the reference has a new piece, a stay, the stable part of η runs
+forward from the left end and the unstable part backward from the right end,
 
     s(t) = E_s(t − a) s(a) + F_s(t − a) w(a),    u(t) = E_u(b − t) u(b) + F_u(b − t) w(b),
 

@@ -68,7 +68,9 @@ def parse_yaml(text: str, file: str) -> Document:
     control = Reader.NON_PRINTABLE.search(text)
     if control:
         message = f"not valid YAML: character {ord(control.group()):#06x} is not allowed"
-        raise InvalidSpec(message, place=_place_in(text, control.start(), file))
+        before = text[: control.start()]
+        place = Place(file, before.count("\n") + 1, len(before) - before.rfind("\n"))
+        raise InvalidSpec(message, place=place)
     try:
         return _Events(yaml.parse(text, Loader=_LOADER), file).document()
     except yaml.MarkedYAMLError as error:
@@ -86,11 +88,6 @@ def parse_yaml(text: str, file: str) -> Document:
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
         raise InvalidSpec(f"not valid YAML: {reason}", place=Place(file, 1, 1)) from None
-
-
-def _place_in(text: str, position: int, file: str) -> Place:
-    before = text[:position]
-    return Place(file, before.count("\n") + 1, position - before.rfind("\n"))
 
 
 class _Events:

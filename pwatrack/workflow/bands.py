@@ -67,12 +67,12 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
 
 def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
     """Return how large noise, with half of a sensor's step, and each disturbance of a file is, enclosed; no load."""
-    conditions, loads, acting = spec.scenario.conditions, controller.plant.loads, dict[Channel, float]()
+    conditions, acting = spec.scenario.conditions.beside(controller.plant.loads), dict[Channel, float]()
     noise, quanta, disturbance = conditions.noise, conditions.quanta, conditions.disturbance
     sensors = np.zeros(len(controller.plant.C)) if noise is None else SIGMAS * noise.std
     sensors = sensors if quanta is None else sensors + quanta.outputs / 2
     acting |= {("noise", k): float(sensors[k]) for k in np.flatnonzero(sensors).tolist()}
-    if disturbance is not None and not (loads is not None and loads.are(disturbance)):
+    if disturbance is not None:
         rows = np.hstack([disturbance.Q, np.zeros((len(disturbance.Q), 1))])
         found = enclosed([along(disturbance, spec.scenario.duration)], lambda _: rows)
         sizes = np.maximum(np.abs(found.low), np.abs(found.high))
@@ -98,9 +98,9 @@ def start_of_errors(loop: ClosedLoop, first: Response) -> Array:
 
 def _acting(loop: ClosedLoop, response: Response) -> dict[Channel, Array]:
     """Return the largest size of each disturbance and noise so far, (K,); what loads make up is none."""
-    conditions, at, acting = loop.conditions, loop.at, dict[Channel, Array]()
-    loads, disturbance, z = loop.controller.plant.loads, conditions.disturbance, response.trace.z
-    if disturbance is not None and not (loads is not None and loads.are(disturbance)):
+    conditions, at, acting = loop.conditions.beside(loop.controller.plant.loads), loop.at, dict[Channel, Array]()
+    disturbance, z = conditions.disturbance, response.trace.z
+    if disturbance is not None:
         sizes = np.maximum.accumulate(np.abs(z[:, at.d] @ disturbance.Q.T))
         acting |= {("disturbance", k): sizes[:, k] for k in np.flatnonzero(disturbance.Q.any(axis=1)).tolist()}
     if conditions.noise is not None:
