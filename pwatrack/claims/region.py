@@ -56,6 +56,11 @@ class RegionClaim(Claim):
         """How far each input may be from its feedforward, (m,)."""
         return self.room.spare
 
+    @property
+    def goes(self) -> str:
+        """What errors do from these starts, in words."""
+        return "errors go to 0" if self.room.ever else "errors shrink throughout this run"
+
     def from_this_start(self, controller: ProvedController) -> bool:
         """Whether it is proved of the start of the run, with the loads that act in it."""
         loads, room, left = controller.plant.loads, self.room, self.left
@@ -131,10 +136,9 @@ class LimitedRegion(RegionClaim):
         if left is None or not self.found:
             yield label, f"not proved: {self.missing}"
             return
-        goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
         for one in self.found:
             starts = self.starts_said(left, words, controller, one) + self.room.whatever_said(one.starts)
-            yield label, f"in the loop as designed {goes} from {starts}, with inputs at their limits too"
+            yield label, f"in the loop as designed {self.goes} from {starts}, with inputs at their limits too"
             label = ""
         cheaper = controller.design.cheaper
         if cheaper is not None:
@@ -144,8 +148,7 @@ class LimitedRegion(RegionClaim):
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors go to 0 from the start of the run with inputs at their limits, where that is proved."""
         if self.from_this_start(controller) and not any(c.from_this_start for c in controller.claims_of(NoSaturation)):
-            goes = "errors go to 0" if self.room.ever else "errors shrink throughout this run"
-            yield "ideal loop", f"{goes} from this start with inputs at their limits too{words.as_designed}"
+            yield "ideal loop", f"{self.goes} from this start with inputs at their limits too{words.as_designed}"
 
 
 def _with_loads(room: Headroom, words: Words, controller: ProvedController, one: StartGuarantee) -> str:

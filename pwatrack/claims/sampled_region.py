@@ -83,7 +83,7 @@ class SampledRegion(RegionClaim):
         entries = {entry["of"]: entry for entry in content["sampled_regions"]}
         for search in _Search.of(controller, asked):
             told = {kind: entry | {"starts": search.behind(entry)} for kind, entry in entries.items()}
-            known = () if search.missing else (search.every, *(nearby(one, told) for one in search.starts))
+            known = () if search.missing else (every(controller), *(nearby(one, told) for one in search.starts))
             found = [search.guarantee(one, _read(entries[one.kind])) for one in known if one.kind in entries]
             yield search.told(tuple(found))
 
@@ -132,10 +132,8 @@ class SampledRegion(RegionClaim):
 
     @property
     def goes(self) -> str:
-        """What errors do."""
-        if self.idle and self.room.ever:
-            return "errors go to 0"
-        return "errors shrink throughout this run" + " to what all that acts leaves" * (not self.idle)
+        """The same; where something acts, `room` is that of this run only."""
+        return super().goes + " to what all that acts leaves" * (not self.idle)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,11 +232,6 @@ class _Search:
         own, loads = ("exact", "sizes", "members"), self.loops.N - self.loops.n
         return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
 
-    @property
-    def every(self) -> Starts:
-        """All starts."""
-        return every(self.controller)
-
     @cached_property
     def proof(self) -> ClockedProof:
         """Of the loop without limits."""
@@ -295,7 +288,7 @@ class _Search:
         free = (self.loops.n == self.loops.N or off) and not self.ticks.before.floats.any()
         held = self.ticks.everywhere() if free else None
         if held is not None:
-            yield self.guarantee(self.every, held)
+            yield self.guarantee(every(self.controller), held)
             return
         for one in (one for one in self.starts if not kinds or one.kind in kinds):
             if one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off):

@@ -148,7 +148,7 @@ def outermost_cells(plant: PWASystem) -> list[BallMatrix]:
 
 def _between(points: Sequence[Sequence[Rational]], k: int) -> bool:
     """Say whether a point is between two others: from it they lie in opposite directions."""
-    seen = set[tuple[int, ...]]()
+    seen = set[tuple[Fraction, ...]]()
     for j, point in enumerate(points):
         if j == k:
             continue
@@ -157,7 +157,7 @@ def _between(points: Sequence[Sequence[Rational]], k: int) -> bool:
         direction = tuple(fraction_of(v / size) for v in change)
         if tuple(-v for v in direction) in seen:
             return True
-        seen.add(direction)  # type: ignore[arg-type]
+        seen.add(direction)
     return False
 
 

@@ -189,7 +189,7 @@ class Measuring:
         if self.loop is not None:
             error = self.loop.tracking_error / self.loop.controller.error_sizes[:, None]
             turns: dict[Mode, Transitions] = {}
-            for name in ("final_error", "largest_error"):
+            for name in ERRORS:
                 self._within[name] = Enclosing(lambda _: error, norm=True, turns=turns)
             each = self.loop.signal_errors
             for name in ("final_errors", "largest_errors") if len(each) > 1 else ():
@@ -308,7 +308,7 @@ class Measuring:
     def _enclosed(self) -> _Sizes:
         """Return which sizes are no larger between samples than what; those of which that is not known are left out."""
         ranges = {name: within.range() for name, within in self._within.items() if name not in _RANGES}
-        for name in ("final_error", "largest_error") if ranges else ():
+        for name in ERRORS if ranges else ():
             ranges.setdefault(f"{name}s", ranges[name])  # of a single entry
         sizes = {name: np.maximum(found.high, -found.low) for name, found in ranges.items()}
         return {name: size for name, size in sizes.items() if np.isfinite(size).all()}

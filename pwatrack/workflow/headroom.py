@@ -158,15 +158,18 @@ def _check(spec: Spec, room: Headroom, said: Sequence[str], at: Sequence[Subject
         return
     ends = np.column_stack([peak.low, peak.high])
     for k, side in peak.beyond(limits):
-        unit = spec.problem.units.get(str(at[k][-1]), "")
-        needed, limit = (f"{number_text(float(v[k, side]), '.4g')} {unit}".rstrip() for v in (ends, limits))
-        way = "above its upper" if side else "below its lower"
-        message = f"{said[k]} = {needed} at t = {peak.times[k, side]:.6g} s, {way} limit, {limit}"
+        unit, when = spec.problem.units.get(str(at[k][-1]), ""), f" at t = {peak.times[k, side]:.6g} s"
+        message = _beyond_text(said[k], ends[k, side], limits[k, side], side, unit, when)
         still = isinstance(spec.problem.reference, SetPoint)
         hint = f"{'choose another set-point' if still else 'let the reference be slower or smaller'}, or {remedy}"
         problems += [Problem(message=message, subject=at[k], hint=hint)] if said[k] else []
     if problems:
         raise OutsideTheory(*problems)
+
+
+def _beyond_text(what: str, needed: float, limit: float, side: int, unit: str, when: str = "") -> str:
+    needs, ends = (f"{number_text(float(v), '.4g')} {unit}".rstrip() for v in (needed, limit))
+    return f"{what} = {needs}{when}, {'above its upper' if side else 'below its lower'} limit, {ends}"
 
 
 def demand_of(
@@ -206,9 +209,7 @@ def _check_demand(spec: Spec, generator: TrajectoryGenerator, found: Demand, lim
     would = _would_do(spec, generator, found.kept, limits) if beyond else ()
     for k, side in beyond:
         unit, ends = spec.problem.units.get(names[k], ""), (found.low, found.high)[side]
-        needed, limit = (f"{number_text(float(v), '.4g')} {unit}".rstrip() for v in (ends[k], limits[k, side]))
-        way = "above its upper" if side else "below its lower"
-        message = f"set-points may take {names[k]} = {needed}, {way} limit, {limit}"
+        message = _beyond_text(f"set-points may take {names[k]}", ends[k], limits[k, side], side, unit)
         hint = (
             f"it is within with {' or '.join(would)}" if would else "no limit of them by itself would do: lower several"
         )
