@@ -4,16 +4,13 @@ Let z' = M z + g d from z = 0, with one matrix M, all of whose eigenvalues λ_k 
 
     γ = ∫ |s(t)| dt,      s(t) = c e^(M t) g = Σ r_k e^(λ_k t),
 
-and no smaller number does: d(t) = sign s(T − t) comes as near to it as is wanted. λ_k and r_k are enclosed by FLINT.
-With S(t) = Σ r_k e^(λ_k t) / λ_k the integral over [a, b] is |S(b) − S(a)| where s keeps its sign, which it does if
-|s(m)| > |s'(m)| h + h² sup |s''| / 2 in the middle m, h = (b − a) / 2; elsewhere that is a lower bound and
-(b − a) sup |s| an upper one. Intervals are halved where the two are furthest apart.
+and no smaller number does. λ_k and r_k are enclosed by FLINT. With S(t) = Σ r_k e^(λ_k t) / λ_k the integral over
+[a, b] is |S(b) − S(a)| where s keeps its sign, which it does if |s(m)| > |s'(m)| h + h² sup |s''| / 2 in the middle m,
+h = (b − a) / 2; elsewhere that is a lower bound and (b − a) sup |s| an upper one. Intervals are halved where the two
+are furthest apart.
 
-A proof needs no eigenvalues. On a step h from z, f(t) = c e^(Mt) z differs from its chord by at most h²/8 ∫ |f''| in
-the mean of its size, so ∫ |f| ≤ ∫ |chord| + h^(5/2)/8 (∫ f''²)^(1/2). With w = c M² and MᵀP + P M + wᵀw ≺ 0 the last
-integral is at most zᵀP z − z₊ᵀP z₊, z₊ = e^(Mh) z. What is left after the last step is bounded by an ellipsoid,
-V = zᵀQ⁻¹z, V' ≤ −a V: ∫ |c z| ≤ 2/a √(c Q cᵀ) √V. Steps are h = 2^unit 2^k, with k growing as fast modes die out;
-e^(Mh) is enclosed by balls.
+A proof needs no eigenvalues: it goes along chords, as in `docs/theory/beyond.md`, *Bounds, one signal at a time*, in
+steps of 2^unit 2^k s, with k growing as fast modes die out. e^(Mh) is enclosed by balls.
 """
 
 from collections.abc import Callable, Sequence

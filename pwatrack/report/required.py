@@ -11,14 +11,13 @@ from pwatrack.control.controller import ProvedController
 from pwatrack.errors import InvalidSpec, Problem
 from pwatrack.model.pwa import PWASystem
 from pwatrack.report.figures import measures, norm_unit
-from pwatrack.simulation.figures import Figures
+from pwatrack.simulation.figures import ERRORS, Figures
 from pwatrack.simulation.margins import margin_figures
 from pwatrack.spec.requirement import Requirement
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult
 
-_NORMS = "final_error", "largest_error"  # of the error
 _NO_REST = "the reference does not come to rest before the last tenth of the run, or the output starts there"
 _NO_MARGIN = "no input changes anything, or to look for it in all cells would take long"
 _NO_PERIOD = "no periodic steady state of a trajectory generator was looked for"
@@ -106,7 +105,7 @@ def required(
             message = f"{'.'.join(map(str, asked.subject))}: there is no {asked.figure}{signal}"
             message += f": {_ABSENT[asked.figure]}" if asked.figure in _ABSENT else ""
             problems.append(Problem(message=message, subject=asked.subject, hint="leave it out"))
-        rounded = result.outcome.rounded if result is not None and asked.figure in _NORMS and not many else 0.0
+        rounded = result.outcome.rounded if result is not None and asked.figure in ERRORS and not many else 0.0
         for signal, each in values.items():
             unit = _unit(spec, controller, asked, signal)
             found.append(_checked(asked, signal, each, unit, sampled, rounded if rounded > asked.limit else 0.0))
