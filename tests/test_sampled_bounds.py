@@ -839,7 +839,7 @@ def test_where_nothing_acts_but_sampling_a_bound_above_what_is_required_is_said_
     path = tmp_path / "friction.yaml"
     path.write_text(FRICTION + "require:\n  final_errors: {y: 1e-6}\n", encoding="utf-8")
     said = " ".join(call("design", path, "--out", tmp_path / "out").stdout.split())
-    assert "warning no better than |y − y_d| ≤" in said
+    assert "warning sampled loop: no better than |y − y_d| ≤" in said
     assert "most by sampling" in said
 
 

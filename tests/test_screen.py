@@ -152,7 +152,7 @@ def test_an_element_of_the_wrong_sign_is_warned_of_by_its_figures(tmp_path: Path
     right, wrong = (load_spec(stage(tmp_path), {"sign": sign}).problem.plant for sign in ("-1", "1"))
     assert plant_questions(right) == []
     gives, away = plant_questions(wrong)
-    assert gives.startswith("'bed' gives energy: it pushes z on, 100 1/s² per unit")  # 2 k / m
+    assert gives.startswith("'bed' pushes z on, 100 1/s² per unit")  # 2 k / m
     s = max(np.linalg.eigvals(A).real.max() for A in wrong.A)
     assert f"in 3 of 3 cells, time constant {1 / s:.3g} s" in away
 
@@ -186,7 +186,7 @@ def test_warnings_are_in_run_json_and_all_that_is_proved_in_summary_txt(tmp_path
     path, out = stage(tmp_path), tmp_path / "out"
     run = call("design", path, "--set", "sign=1", "--out", out)
     assert run.exit_code == 0, run.output
-    assert "\nquestion    'bed' gives energy" in run.stdout
+    assert "\nquestion    'bed' pushes z on" in run.stdout
     assert run.stdout.splitlines()[0] == f"Stage: NOT READY: 1 warning; {IDEAL}"
     index = json.loads((out / "run.json").read_text(encoding="utf-8"))
     assert len(index["questions"]) >= 2

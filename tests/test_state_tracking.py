@@ -128,7 +128,7 @@ def test_a_set_point_that_the_plant_cannot_rest_at_is_refused(tmp_path: Path) ->
         ("{output: 0.1}", "state tracking needs a reference that is state or input or setpoint, found output"),
         ('{state: ["0", "0", "0"]}', "reference.state: 3 entries, expected 4"),
         ('{input: ["0", "0"]}', "reference.start is missing"),
-        ("{setpoint: {y1: 1}}", "setpoint must give every output: y1, y2"),
+        ("{setpoint: {y1: 1}}", "setpoint must give what is tracked, y1, y2, and gives y1"),
         ('{state: ["t", "1", "0", "0"]}', "x_d is not bounded"),
     ],
 )

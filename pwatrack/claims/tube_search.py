@@ -18,6 +18,7 @@ from pwatrack.lmi.exact import rounded_down
 from pwatrack.rational import floats
 
 KINDS = 4  # of channels that have a tube together: between ticks and at them, summed or not
+_CORNERS = 64  # at which something acts, up to which it has a tube of its sum beside another: each is asked for
 _RARE = 0.01  # of the largest square: what counts of a channel that acts seldom
 _LEAST = 1e-4  # of d²: the share of a channel that does little
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
@@ -53,8 +54,10 @@ class TubeSearch:
         """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
         found = dict[Channel, tuple[Tube, ...]]()
         for channel in acts.squares:
-            ways = (True,) if channel[0] in SUMMED else (False, True)[: 1 + (channel in acts.means)]
-            each = (self._best(driven(self.errors, channel), summed) for summed in ways)
+            drive = driven(self.errors, channel)
+            both = channel in acts.means and drive.corners(self.program.system) <= _CORNERS
+            ways = (True,) if channel[0] in SUMMED else (False, True)[: 1 + both]
+            each = (self._best(drive, summed) for summed in ways)
             if tubes := tuple(one for one in each if one is not None):
                 found[channel] = tubes
         return found

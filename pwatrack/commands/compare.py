@@ -107,13 +107,15 @@ def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> N
         table.add_row(label, *(str(run.index.get(key, "")) for run in runs))
     simulations = [run.index.get("simulation") for run in runs]
     table.add_row("simulation", *(str(s.get("outcome", "")) if isinstance(s, dict) else "" for s in simulations))
-    wishes = [run.required() for run in runs]
+    wishes, same_units = [run.required() for run in runs], len({run.unit for run in runs}) == 1
     for label in dict.fromkeys(label for run in wishes for label in run):
         table.add_row(label, *(run.get(label, "") for run in wishes))
     for name in dict.fromkeys(name for run in runs for name in run.figures):
         table.add_row(name, *(f"{run.figures[name]:.4g}" if name in run.figures else "" for run in runs))
     first: Mapping[str, Any] = next((run.index["sizes"] for run in runs if "sizes" in run.index), {})
-    if any(run.index.get("sizes", first) != first for run in runs):
+    if not same_units:  # what is in sizes of one is in other units than the gains of another
+        table.add_row("unit of what is tracked", *(run.unit for run in runs))
+    elif any(run.index.get("sizes", first) != first for run in runs):
         norms = [run.gains_in(first) for run in runs]
         for name in ("norm_K", "norm_L"):
             cells = (f"{run[name]:.4g}" if run else "" for run in norms)

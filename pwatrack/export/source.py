@@ -194,10 +194,10 @@ _ASCII = {"°": "deg", "·": "*", "⋅": "*", "×": "x", "−": "-", "–": "-",
 
 
 def in_ascii(text: str) -> str:
-    """Return a text with what is read as the same in ASCII, where there is something: m³ is m3, µm um, η eta."""
-    text = re.sub(r"[µμ](?=\w)", "u", text)
+    """Return a text with what is read as the same in ASCII, where there is something: m³ is m3, µm um, x̂ x_hat."""
+    text = unicodedata.normalize("NFKD", re.sub(r"[µμ](?=\w)", "u", text))
     found = []
-    for sign in unicodedata.normalize("NFKD", text):
+    for sign in re.sub(r"\b(\w)\u0302(?!\w)", r"\1_hat", text):
         greek = re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER (\w+)", unicodedata.name(sign, ""))
         if sign in _ASCII:
             found.append(_ASCII[sign])

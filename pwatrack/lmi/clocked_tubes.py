@@ -247,6 +247,11 @@ class Drive:
         """Return what drives at a rate, in 1/s, what this is beside."""
         return replace(self, held=self.held.times(Fraction(0)), between=BallMatrix.of(rate * self.held.floats))
 
+    def corners(self, system: Clocked) -> int:
+        """Return how many corners of boxes `held_by` looks at."""
+        acting = (sum(map(any, (V @ self.held).centre.tolist())) for _, _, V in system.boxes)
+        return sum(2**count for count in acting)
+
     def held_by(self, system: Clocked) -> list[BallMatrix]:
         """Return what d may add to z', at all corners of the boxes, (n, d) each."""
         found = list[BallMatrix]()

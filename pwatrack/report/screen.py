@@ -183,7 +183,7 @@ def _came_out(found: Findings) -> Iterator[Row]:
     if result is not None:
         how, outcome = _conditions(result), result.outcome
         error = f"{outcome.worst or outcome.final}{result.figures.seen(*ERRORS)}"
-        said = f"{_ENDS.get(outcome.kind)}, largest error {error} in the last tenth; {outcome.largest} before"
+        said = f"{_ENDS.get(outcome.kind)}, largest error {error} in the last tenth; {outcome.largest} at worst"
         said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:

@@ -162,7 +162,7 @@ def _repair_rows(table: Table, result: SimulatedLoop) -> None:
             name, unit = words.signal(signal)
             total = float(sum(bounds[k].sizes[signal] * acting[k] for k, _, _ in on)) * (1 + 1e-12)
             size = f"{up(total)} {unit}".rstrip()
-            table.add_row("", f"which adds at most {size} to {sized(name)} in the end")
+            table.add_row("", f"which adds at most {size} to {sized(name)} in the end of the ideal loop")
 
 
 def written(printing: Callable[[Console], None]) -> str:

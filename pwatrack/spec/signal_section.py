@@ -212,7 +212,8 @@ class ReferenceSection(Section):
         if self.output is not None and "output" in fitting and context.followed:
             yield from _output_faults(self.output, context.followed)
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
-            yield Fault(f"setpoint must give every output: {', '.join(context.followed)}", ("setpoint",), late=True)
+            tracked, own = (", ".join(names) for names in (context.followed, self.setpoint))
+            yield Fault(f"setpoint must give what is tracked, {tracked}, and gives {own}", ("setpoint",), late=True)
 
     def _outside_faults(self, context: Context) -> Iterator[Fault]:
         assert self.outside is not None

@@ -5,21 +5,25 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled_bounds import TubeBounds
+from pwatrack.claims.sampled_box import SampledBoxBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
 from pwatrack.model.conditions import Conditions
 from pwatrack.workflow.bands import SIGMAS
 
-WAYS = {  # of what a bound is made of, what may lessen it
+_WAYS = {  # of what a bound is made of, what may lessen it
     "noise": "try larger 'sizes' of outputs",  # for a calmer observer
     "steps of sensors": "take finer ones",
     "steps of inputs": "take finer ones",
-    "disturbances": "'estimate' it, or larger 'sizes' of inputs",  # for a faster K
+    "disturbances": "larger 'sizes' of inputs",  # for a faster K
+    "parameters": "a smaller box, or larger 'sizes' of inputs",
+    "parameters and disturbances": "a smaller box, or larger 'sizes' of inputs",
     "steps of loads": "smaller 'sizes' of outputs",  # for a faster observer
     "jitter": "sample with less, or more often",
     "sampling": "sample more often",
-    "what is merged": "a smaller reference",
+    "what is merged": "larger 'sizes' of inputs",
 }
 _OF = {  # by the kinds of `control.sampled_disturbances`; what is in none is left by sampling
     "disturbance": "disturbances",
@@ -31,15 +35,24 @@ _OF = {  # by the kinds of `control.sampled_disturbances`; what is in none is le
 }
 
 
+def way(cause: str, controller: ProvedController) -> str:
+    """Return what may lessen what a cause leaves."""
+    free = controller.plant.loads is None and not controller.claims_of(Robust)
+    return "'estimate' them, or " * (cause == "disturbances" and free) + _WAYS[cause]
+
+
 def of_sampled(tubes: TubeBounds, controller: ProvedController, conditions: Conditions, form: Form) -> dict[str, float]:
     """Return how much of a bound of the sampled loop each cause has."""
     found, p = defaultdict[str, float](float), tubes.errors.followed.shape[0]
+    box = isinstance(tubes, SampledBoxBounds)
     for channel, size in tubes.ends_by(controller, form).items():
         kind, k = channel
         if kind == "noise":
             most = float(np.sqrt(tubes.acts.squares[channel].max()))
             for cause, share in of_measured(conditions, k, most).items():
                 found[cause] += share * size
+        elif kind == "disturbance" and box:
+            found["parameters" if conditions.disturbance is None else "parameters and disturbances"] += size
         else:
             found["jitter" if kind == "nominal" and k >= p else _OF.get(kind, "sampling")] += size
     return found

@@ -17,15 +17,17 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBoxBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
+from pwatrack.control.goal import AtLeast, Goal
 from pwatrack.control.sampled_gains import sampled_gains
 from pwatrack.control.words import Words, sized
+from pwatrack.lmi.inequality import Role
 from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.margins import Margins, loop_margins, worst
 from pwatrack.simulation.modes import modes
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared, tube_bounds
-from pwatrack.workflow.causes import WAYS, of_designed, of_sampled
+from pwatrack.workflow.causes import of_designed, of_sampled, way
 from pwatrack.workflow.sizing import reference_sizes
 
 _HALF = 0.5  # of the reference: an error of this size is no tracking
@@ -88,13 +90,14 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
         sizes = {bounds.channel: bounds.sizes for bounds in claims[0].acting}
         return of_designed({channel: sizes[channel][form] * size for channel, size in acting.items()}, conditions)
 
+    of = f"{'ideal' if known is None else 'sampled'} loop{'' if others else spec.words.as_designed}"
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
-        *_disturbed(spec, controller, ends, made_of),
+        *_disturbed(spec, controller, ends, of, made_of),
         *_near_limits(spec, controller),
         *_sampling(spec, controller, margins),
-        *_little_phase(controller, margins),
+        *_little_phase(controller, margins, spec.words.goals),
     ]
     return Assessment(
         acting=acting,
@@ -106,7 +109,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     )
 
 
-def _little_phase(controller: ProvedController, margins: Margins | None) -> Iterator[str]:
+def _little_phase(controller: ProvedController, margins: Margins | None, goals: Mapping[Role, Goal]) -> Iterator[str]:
     """Yield that a cell has little phase margin, and which change of K or L by itself would give most of it."""
     if margins is None or margins.phase >= _LITTLE_PHASE:
         return
@@ -118,7 +121,9 @@ def _little_phase(controller: ProvedController, margins: Margins | None) -> Iter
             found.append((other.phase, f"{letter} × {factor:g} would have {np.degrees(other.phase):.2g}°: {sizes}"))
     most, better = max(found, default=(0.0, ""))
     if most < _WORTH * margins.phase:
-        better = "halving or doubling K or L helps little: add a sensor or an actuator"
+        asked = any(isinstance(goal, AtLeast) and goal.rate for goal in goals.values())
+        others = ["a smaller 'rate'"] * asked + ["other 'sizes' of loads"] * (controller.plant.loads is not None)
+        better = f"halving or doubling K or L helps little: try {', '.join([*others, 'a sensor or actuator more'])}"
     elif most < _LITTLE_PHASE:
         better += "; or try a 'rate' of each"
     where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
@@ -129,9 +134,10 @@ def _disturbed(
     spec: Spec,
     controller: ProvedController,
     ends: Mapping[Form, float],
+    of: str,
     made_of: Callable[[Form], Mapping[str, float]],
 ) -> Iterator[str]:
-    """Yield where what is proved of the end is more than is required, or half of y_d, and what leaves most of it."""
+    """Yield where what is proved of some loop's end is more than is required, or half of y_d, and what leaves most."""
     references = reference_sizes(spec, controller)
     for k, name in enumerate(controller.error_names):
         form: Form = (controller.tracking, k)
@@ -147,9 +153,9 @@ def _disturbed(
             causes = made_of(form)
             largest = max(causes, key=lambda cause: causes[cause], default="sampling")
             yield (
-                f"no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
+                f"{of}: no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
                 + f" is proved, {most:.3g} {unit}".rstrip()
-                + f" is {what}; most by {largest}: {WAYS[largest]}"
+                + f" is {what}; most by {largest}: {way(largest, controller)}"
             )
 
 
@@ -244,11 +250,12 @@ def plant_questions(plant: PWASystem) -> list[str]:
     away, said = [(mode, name) for mode, name in found if mode.frequency and mode.time_constant < 0], list[str]()
     form = plant.written if away else None
     for element, A in () if form is None else ((one, form.A.floats) for one in form.elements):
-        rate = _pushes(A, element)
+        each = _pushes(A, element)
+        rate, turned = max(each), min(each) >= 0
         if rate > 0 and not any(f"'{element.name}'" in remark for remark in plant.remarks):
             said.append(
-                f"'{element.name}' gives energy: it pushes {_looked_at(element, plant)} on, {rate:.3g} 1/s² per unit: "
-                "turn the sign of its 'into' if it should hold back"
+                f"'{element.name}' pushes {_looked_at(element, plant)} on, {rate:.3g} 1/s² per unit: "
+                + ("turn the sign of its 'into' if it should hold back" if turned else "right if it is to do so")
             )
     if away:
         mode, name = max(away, key=lambda one: -1 / one[0].time_constant)
@@ -267,14 +274,14 @@ def plant_questions(plant: PWASystem) -> list[str]:
     return said
 
 
-def _pushes(A: Array, element: Nonlinearity) -> float:
-    """Return the most by which an element drives what it looks at away, per unit of it: in 1/s², through one rate."""
+def _pushes(A: Array, element: Nonlinearity) -> list[float]:
+    """Return by how much each slope of an element drives what it looks at away, per unit of it: in 1/s², by a rate."""
     row, d = (np.array([float(v) for v in values]) for values in (element.row, element.direction))
     if row @ d != 0:
-        return 0.0
+        return [0.0]
     terms = (row @ A) * d
     through = float(terms.sum()) if abs(terms.sum()) > 1e-12 * np.abs(terms).sum() else 0.0
-    return max(through * float(slope) for slope in element.function.slopes)
+    return [through * float(slope) for slope in element.function.slopes]
 
 
 def _looked_at(element: Nonlinearity, plant: PWASystem) -> str:

@@ -67,7 +67,8 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
     if practical is not None and practical["observer_runs"] == "all cells":
         plant.seen_A = AuditedPlant(practical["plant"]).A
     centres = at_centres(content)
-    said = [f"plant: {plant.count} cells cover the state space, the field is continuous{centres}"]
+    cells = "1 cell covers" if plant.count == 1 else f"{plant.count} cells cover"
+    said = [f"plant: {cells} the state space, the field is continuous{centres}"]
     faults = plant.faults()
     if content["tracking"] == "state" and plant.unmatched():
         faults.append("a load enters where no input does, and x_d is given")

@@ -33,8 +33,16 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
     errors = AuditedErrors(content, loop, predicted(whole))
     faults, flows = growing(errors, content, errors.ticks, rate), errors.opened(len(content["T"][0]))
-    said = f"the sampled loop: every {content['sample_time']} s, rate {content['rate']} 1/s, {len(flows)} flows"
+    every = f"every {content['sample_time']} s"
+    if errors.late:
+        every += f", inputs {content['delay']} samples late"
+    said = f"the sampled loop: {every}, {rate_said(content, content['jitter'])}, {len(flows)} flows"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(content['P'])} knots"]
+
+
+def rate_said(content: Any, jitter: Any) -> str:
+    """Return a rate in words: with jitter it is as the program counts time, which may pass faster."""
+    return f"rate {content['rate']} 1/s" + f" as its ticks count, give or take {jitter} s each" * (number(jitter) > 0)
 
 
 def runs_of(errors: AuditedErrors, P: Any, T: Any, fault: str) -> list[list[Knot]]:

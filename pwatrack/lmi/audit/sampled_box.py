@@ -3,7 +3,7 @@
 from typing import Any
 
 from .bounds import Loop
-from .clocked import growing, predicted
+from .clocked import growing, predicted, rate_said
 from .corners import UncertainLoop
 from .matrices import AuditFault
 from .reading import number
@@ -32,7 +32,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     box = UncertainLoop(whole["plant"], whole["uncertain"]["corners"], loop.K, loop.L)
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
     wrong, flows = growing(errors, content, errors.ticks, rate), errors.opened(len(content["T"][0]))
-    said = f"the sampled loop for uncertain parameters: rate {content['rate']} 1/s, {len(flows)} flows proved"
+    rated = rate_said(content, whole["sampled"]["jitter"])
+    said = f"the sampled loop for uncertain parameters: {rated}, {len(flows)} flows proved"
     faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
     if found:
         outside, claimed = left(found, Tubes(errors, []), " for uncertain parameters")
