@@ -221,7 +221,7 @@ class Signal:
         return Signal(starts, pieces, end)
 
     def jump(self, order: int) -> tuple[float, float] | None:
-        """Return (time, size) of the largest jump of the derivative of this order that is no rounding, or None."""
+        """Return (time, size) of the first of the largest jumps of a derivative that are no rounding, or None."""
         terms = self.stacked()
         for _ in range(order):
             for rate, c in terms.items():
@@ -237,7 +237,7 @@ class Signal:
             size = np.maximum(np.maximum(np.abs(left), np.abs(middle))[:-1], np.abs(right[1:]))
             scale = float((size * (1 + EPS / _JUMP * starts[1:] / span)).max())  # the break itself is rounded
             gap = np.abs(right[1:] - left[:-1])
-        worst = int(np.argmax(gap))
+        worst = int(np.argmax(gap >= (1 - _JUMP) * gap.max()))
         return (self.starts[worst + 1], float(gap[worst])) if gap[worst] > _JUMP * scale else None
 
     def stacked(self) -> dict[complex, ComplexArray]:

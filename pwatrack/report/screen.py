@@ -102,6 +102,13 @@ class Findings:
         return assessed(self.spec, self.controller)
 
     @property
+    def not_looked_at(self) -> Iterator[Row]:
+        """Whether members of an ensemble are required to keep limits in a run without one."""
+        wishes = sum(asked.share is not None for asked in self.spec.requirements)
+        if wishes and self.result is not None and self.many is None:
+            yield "required", f"{wishes} more of an ensemble, not looked at without '--ensemble 100'"
+
+    @property
     def missed(self) -> list[str]:
         """What the design, its run, or its ensemble, did not achieve, in sentences; [] where it ends with exit 0."""
         found = [each.text for each in self.checked if not each.met]
@@ -192,6 +199,7 @@ def _came_out(found: Findings) -> Iterator[Row]:
         worst = f"{figures['final_error']['worst']:.2e} {unit}".rstrip()
         said = f"{figures['members']:,} members {many.variation.text}: {ends}; error at the end {worst} at worst"
         yield "ensemble", f"{said}, member {figures['final_error']['member']}"
+    yield from found.not_looked_at
     if met := [each for each in checked if each.met]:
         here = " in this run" * any(each.requirement.figure in SIMULATED for each in met)
         yield "required", f"{len(met)} of {len(checked)} met{here}; {'; '.join(each.short for each in met)}"

@@ -70,6 +70,7 @@ def _outcome_rows(table: Table, found: Findings) -> None:
     _add(table, (("question", text) for text in found.assessment.questions))
     if met := [each.text for each in found.checked if each.met]:
         table.add_row("required", f"{len(met)} of {len(found.checked)} met: {'; '.join(met)}")
+    _add(table, found.not_looked_at)
 
 
 def _margin_rows(table: Table, found: Findings) -> None:
@@ -78,8 +79,9 @@ def _margin_rows(table: Table, found: Findings) -> None:
     for one in found.assessment.margins:
         low, high = (number_text(v, ".3g") for v in one.gain)
         said = f"{plant.inputs[one.input]} in cell '{plant.cell_names[one.cell]}' by itself: stable with its gain "
-        said += f"times {low} to {high}, phase {np.degrees(one.phase):.3g}°, delay {one.delay:.3g} s, gain 1 up to "
-        table.add_row("margins", f"{said}{one.crossover:.3g} rad/s")
+        said += f"times {low} to {high}, "
+        least = f"phase {np.degrees(one.phase):.3g}°, delay {one.delay:.3g} s, gain 1 up to {one.crossover:.3g} rad/s"
+        table.add_row("margins", f"{said}{least if one.crossover else 'any phase and delay, as its gain is below 1'}")
 
 
 def print_result(console: Console, found: Findings) -> None:

@@ -21,6 +21,9 @@ _AROUND = np.linspace(-5.0, 5.0, 11)  # half widths of a resonance that are look
 _BESIDE = 1 + 1e-7  # at a mode that is not damped there is no L(jω)
 _NEXT = 8 * EPS  # of a frequency: by no more are ω and its neighbours apart
 _ROUNDS = 40  # of halving the interval of a crossing
+_NO_GAIN = (
+    1e-9  # times what it is: a gain that may be less is as good as none, where a pole at 0 is so but for rounding
+)
 _MOST_WORK = 3_000_000_000  # cells · inputs · frequencies · order³: a few seconds
 
 Frequencies = NDArray[np.float64]
@@ -118,7 +121,7 @@ def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
     return Margins(
         cell=cell,
         input=k,
-        gain=(float(low), float(high)),
+        gain=(float(low) if low > _NO_GAIN else 0.0, float(high)),
         phase=float(np.abs(angles).min(initial=np.pi)),
         delay=float(np.min(np.mod(angles, 2 * np.pi) / passing, initial=np.inf)),
         crossover=float(passing.max(initial=0.0)),

@@ -55,7 +55,7 @@ def unstable_cell(controller: ProvedController, conditions: Conditions) -> "tupl
     message = (
         f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell "
         f"'{controller.plant.cell_names[cell]}': as long as it stays there, one sample multiplies an error by "
-        f"{radius:.4g} in the long run{maps.grows(cell, sampling.sample_time, radius)}"
+        f"{radius:.{4 if radius > 1.001 else 9}g} in the long run{maps.grows(cell, sampling.sample_time, radius)}"
     )
     return None if longest is None else (message, maps, longest)
 
