@@ -91,7 +91,8 @@ class TubeSearch:
         rows, whole = self.rows.floats, Drive.together([*drives.values()], [1.0] * len(drives))
         a, b = whole.decay(_SHARES[0] * self.program.most, self.program.system)
         shares = most * self.program.alone(whole, rows, self.weights, a=a, b=b)
-        shares = np.maximum(shares / shares.sum(), _LEAST) if shares.any() else np.ones(len(shares))
+        known = shares.any() and np.isfinite(shares).all()
+        shares = np.maximum(shares / shares.sum(), _LEAST) if known else np.ones(len(shares))
         sizes = most / np.sqrt(shares / shares.sum())
         return {channel: float(f"{size:.3g}") for channel, size in zip(drives, sizes.tolist(), strict=True)}
 

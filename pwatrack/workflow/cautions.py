@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text, up
+from pwatrack.arrays import TINY, Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.sampled import SampledLoop
@@ -36,6 +36,7 @@ _NEAR = 0.05  # of the range of an input: what rests nearer to a limit has no ro
 _SHORT = 1e-3  # of a sample time: no machine samples so much faster
 _TENTH = 0.1  # of the sampling frequency: what a loop is usually slower than
 _LITTLE_PHASE = np.pi / 6  # rad: half of what is usually asked for
+_HARDLY = 100.0  # times smaller: a K that leaves the plant to itself
 _UNDAMPED = 1e-3  # damping of a mode: real machines have more
 _CHANGES = (  # of a gain, and what has it designed so
     ("K", 0.5, "lower 'sizes' of inputs"),
@@ -96,6 +97,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     warnings = [
         *_disturbed(spec, controller, ends, of, made_of),
         *_near_limits(spec, controller),
+        *_gentle(controller),
         *_sampling(spec, controller, margins),
         *_little_phase(controller, margins, spec.words.goals),
     ]
@@ -200,6 +202,20 @@ def _near_limits(spec: Spec, controller: ProvedController) -> Iterator[str]:
                     f"the feedforward of {name} begins with {number_text(first, '.4g')} {unit}".rstrip()
                     + f", limit {number_text((low, high)[beyond[0]], '.4g')}: start it with 'generator: steady'"
                 )
+
+
+def _gentle(controller: ProvedController) -> Iterator[str]:
+    """Yield that the K that runs is hardly one, where it is made for starts with inputs at limits."""
+    design = controller.design
+    pairs = [(loop.cheaper, loop.gains.K) for loop in controller.claims_of(SampledLoop)] or [(design.cheaper, design.K)]
+    for cheaper, K in pairs:
+        norms = [0.0 if X is None else controller.sizes.norm(X) for X in (cheaper, K)]
+        share = norms[0] / max(norms[1], TINY)
+        if share > _HARDLY:
+            yield (
+                f"K is {share:.2g} times smaller than without limits, made for starts with inputs at them: it hardly "
+                "acts; more room for inputs, or starts that are nearer, gives a larger one"
+            )
 
 
 def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None) -> Iterator[str]:
