@@ -36,7 +36,8 @@ ROWS = re.compile(r"^\| ([^|]*) \| `(.+?)` \|", re.MULTILINE)
 Row = tuple[bool, str, str]  # whether verify says it, label, sentence
 
 EXTRA = {
-    "state": "design: {tracking: state}\nreference: {state: ['0.1*sin(t)', '0.1*cos(t)']}",
+    "state": "design: {tracking: state}\nreference: {state: ['0.1*sin(t)', '0.1*cos(t)']}\n"
+    "require: {ensemble: {final_error: 9}}",
     "setpoint": "design: {tracking: state}\nreference: {setpoint: {y: 0.05}}",
     "input": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: periodic}",
     "response": "design: {tracking: state}\nreference: {input: ['0.1*sin(t)'], start: [0, 0]}",
@@ -52,13 +53,20 @@ EXTRA = {
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
-WHOLE = {  # plants of one cell: what acts is over before the first input acts; feedforwards that take a limit whole
+WHOLE = {  # plants of one cell: what acts is over before the first input, members start with other η̂, limits are used up
     "waiting": """
 system: {states: [x], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}
 reference: {output: {constant: 0}}
 simulation:
   {duration: 4, sample_time: 0.01, controller: {sample_time: 0.1, delay: 2},
    disturbance: {x: {constant: 5, step: {size: -5, at: 0.15}}}}
+""",
+    "beside": """
+system: {states: [x, z], inputs: [u], outputs: [y], A: [[-1, 1], [1, -3]], B: [[1], [0]], C: [[1, 0]]}
+reference: {output: {sine: {amplitude: 0.1, frequency: 1}}}
+simulation:
+  {duration: 4, sample_time: 0.01, controller: {sample_time: 0.1, delay: 1}, initial: {generator: [0]},
+   ensemble: {initial: {generator: [[-0.1, 0.1]]}}}
 """,
     "single": """
 system: {states: [z, v], inputs: [u], outputs: [y], A: [[0, 1], [-1, -1]], B: [[0], [1]], C: [[1, 0]]}
