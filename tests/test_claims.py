@@ -53,7 +53,7 @@ EXTRA = {
     "rounded": "tolerance: {continuity: 1e-3}\nreference: {output: 0.1*sin(t)}",
 }
 
-WHOLE = {  # plants of one cell: what acts is over before the first input, members start with other η̂, limits are used up
+WHOLE = {  # plants of one cell: what acts is over before the first input, members start with other η̂, limits used up
     "waiting": """
 system: {states: [x], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}
 reference: {output: {constant: 0}}
