@@ -194,7 +194,7 @@ class _Waiting:
         moved = np.split(self._late.theta * rates, [n, n + q], axis=1)  # x, y and e, up to half of the jitter later
         missed = moved[1].max(axis=0)
         between, kept, last, clear = self._off(c[:, :K].reshape(2, K, d, N), off, noise + missed)
-        if not (np.isfinite(between).all() and np.isfinite(missed).all()):
+        if not (np.isfinite(between).all() and np.isfinite(rates).all()):
             return None
         most[:, tracked + m :] += between[:, 0, :n] + moved[0]
         forms: list[Form] = [*((kind, k) for k in range(tracked)), *(("input", k) for k in range(m))]
