@@ -715,6 +715,7 @@ FORGED: dict[str, Callable[[Any], Any]] = {
     "another b": lambda t: t[[one["acts"][0]["channel"][0] for one in t].index("noise")].update(b="0.5"),
     "steps for the nominal loop": lambda t: exchange(t, "input", "nominal"),
     "what moves for the nominal loop": lambda t: exchange(t, "moved", "nominal"),
+    "a between ticks and b at them": lambda t: t[0].update(b="1e-9"),
     "of nothing": lambda t: t[0].update(acts=[]),
     "of a size of 0": lambda t: t[0]["acts"][0].update(size="0"),
     "of a larger size": lambda t: t[0]["acts"][0].update(size="1.1"),

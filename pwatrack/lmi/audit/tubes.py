@@ -63,7 +63,7 @@ class Tubes:
         ticks = bool(acts) and acts[0][0][0] in TICKS
         if not acts or any((channel[0] in TICKS) != ticks or size <= 0 for channel, size, _ in acts):
             raise AuditFault("what acts together acts between ticks, or at them, in a size above 0")
-        if a < 0 or not 0 <= b < 1 or not (b if ticks else a):
+        if a < 0 or not 0 <= b < 1 or bool(a) == ticks or bool(b) != ticks:
             raise AuditFault("a or b of a tube is out of range")
         if entry["summed"] not in (0, 1):
             raise AuditFault("what is summed is 1 or 0")
