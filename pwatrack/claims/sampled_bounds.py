@@ -109,6 +109,8 @@ class TubeBounds(Claim):
                 of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
                 if not of.keys() <= acts.squares.keys():
                     raise ValueError("a tube is of something that does not act")
+                if not tube.summed and any(kind == "swap" for kind, _ in of):
+                    raise ValueError("what u is off its time is summed")
                 alone = [*whole.values()] == [1.0]
                 together += [] if alone else [of]
                 channels: Iterable[Channel] = of if alone else [("together", len(together) - 1)]
@@ -137,11 +139,20 @@ class TubeBounds(Claim):
         k, last, found = self.forms.index(form), self._last(controller), dict[Channel, float]()
         for channel, each in (self._settled or {}).items():
             tubes = self.tubes[channel]
-            most = min(float((V[last] * one.sizes[k]).max()) for V, one in zip(each, tubes, strict=True))
+            most, first = (
+                min(float((V[last] * one.sizes[k]).max()) for V, one in zip(each, tubes, strict=True)),
+                tubes[0],
+            )
             acts = {one: size for one, size in self._of(channel).items() if one in self.acts.squares}
-            parts = {one: float(np.sqrt(self.acts.squares[one].max())) / size for one, size in acts.items()}
-            found |= {one: most * part / sum(parts.values()) for one, part in parts.items()}
+            parts = {one: self._alone(one, size, first)[last].max() for one, size in acts.items() if one[0] != "start"}
+            total = sum(parts.values())
+            found |= {one: most * float(part / total) for one, part in parts.items() if part > 0}
         return found
+
+    def _alone(self, channel: Channel, size: float, tube: Tube) -> Array:
+        """Return the part that a channel has of V, or V^½ of what is summed, in each substep, (K,)."""
+        V = level(self.acts.together({channel: size}, tube, {}), tube, self.errors.gains)
+        return V if tube.summed else V**2
 
     def _last(self, controller: ProvedController) -> slice:
         """Return the substeps of the end of the run."""

@@ -11,7 +11,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.exact_text import CLOSE, doubles
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
-from pwatrack.control.sampled_disturbances import ROUNDING, Acting
+from pwatrack.control.sampled_disturbances import ROUNDING, Acting, begun
 from pwatrack.control.sampled_error import SampledErrors
 
 
@@ -27,7 +27,7 @@ def from_start(
         late = None if asked.late is None else asked.late(controller, errors, noise)
         if late is None or late.substeps >= len(acts.near):
             return errors, acts
-        return _begun(errors, acts.after(late), np.column_stack([late.z, late.off]))
+        return _begun(errors, acts.after(late), begun(errors, acts, late))
     starts = None if asked.begins is None else asked.begins(controller)
     if starts is None:
         return errors, acts

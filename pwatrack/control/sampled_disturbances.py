@@ -45,8 +45,10 @@ which both are on one side of every plane. "drawn", "cell" and "eta" are of esti
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from math import ceil
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 from scipy.linalg import lapack
 
 from pwatrack.arrays import OVER_POWERS, Array
@@ -69,7 +71,8 @@ class LateStart:
 
     Attributes:
         z: Without noise, (order,).
-        off: What z may be more or less than that, or a share of each, beside what noise adds, (order, k).
+        off: How far z is from that at most, beside what noise adds, (order,).
+        moved: How far x − x_d goes at most till the first input acts, which may be early or late, (n,).
         missed: How much more is measured off before, by ticks off their times, (q,).
         beside: How large signals are at most in each substep before, likewise.
         along: Between what numbers of the program are there, with what noise adds, (k, 2) each.
@@ -78,6 +81,7 @@ class LateStart:
 
     z: Array
     off: Array
+    moved: Array
     missed: Array
     beside: Mapping[Form, Array]
     along: Mapping[str, Array]
@@ -278,6 +282,26 @@ def drives(errors: SampledErrors, inputs: Sequence[int]) -> Array:
     rows = np.zeros((len(inputs), errors.order)) if errors.gains.delay else beside_loads(errors, inputs)
     rows[range(len(inputs)), [len(errors.plant.B) + k for k in inputs]] = 1.0
     return rows
+
+
+def begun(errors: SampledErrors, acts: Acting, late: LateStart) -> Array:
+    """Return what z is a mean of as the first input acts, which is late, of any sign, (order, k).
+
+    Of what x − x_d goes as it is off its time, and of e₀, which begins at its time, all x̃ − x have the other sign.
+    """
+    (n, m, N, *_), gains = errors.widths, errors.gains
+    columns, theta, K = [late.z[:, None], np.diag(late.off)], gains.jitter / 2, late.substeps
+    if theta:
+        near = ceil(theta / gains.sample_time * gains.substeps)
+        inputs = [acts.beside[form][K : K + near + 1].max(initial=0.0) for form in (("input", k) for k in range(m))]
+        B, A0 = np.abs(errors.plant.B), np.abs(errors.mean.floats)
+        away = late.moved + scipy.linalg.expm(A0 * theta) @ B @ np.array(inputs) * theta * OVER_POWERS
+        own = np.zeros((errors.order, n))
+        own[:n] = np.diag(away)
+        for i in range(errors.predicted):
+            own[n + m + i * N :][:n] = -np.diag(away)
+        columns.append(own)
+    return np.hstack(columns)
 
 
 def cut_off(errors: SampledErrors) -> BallMatrix:

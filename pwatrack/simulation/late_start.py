@@ -6,8 +6,8 @@ noise adds what tubes of `control.sampled_disturbances` are of. What is left whe
 than c is bounded all along it: see `docs/theory/beyond.md`, *The start of a run with late inputs*.
 
 Where ticks are up to θ off their times, as in `control.off_time`, c is what is predicted from y at these times. So y is
-measured off by θ sup |C x'| more; and as the first input acts e = x − x_d is off what it is at its time by θ sup |e'|,
-all x̃ − x by the same, with the other sign.
+measured off by θ sup |C x'| more; and as the first input acts x − x_d is off what it is at its time by θ sup of its
+rate. That e₀ has begun by then, or not, is added in `control.sampled_disturbances`.
 """
 
 from dataclasses import replace
@@ -208,21 +208,13 @@ class _Waiting:
         along = {"x_hat": seen[:n], "y": _hull(np.stack([y[0] - noise, y[1] + noise])), "u": np.zeros((m, 2))}
         return LateStart(
             z=self._z,
-            off=np.hstack(
-                [self._later(moved[2][-1]), np.eye(self._errors.order)[:, n + m :][:, : d * N] * last.ravel()]
-            ),
+            off=np.concatenate([np.zeros(n + m), last.ravel(), np.zeros(self._errors.order - n - m - d * N)]),
+            moved=moved[2][-1],
             missed=missed,
             beside=dict(zip(forms, most.T, strict=True)),
             along=along | ({"s_hat": seen[n:]} if n < N else {}),
             clear=clear,
         )
-
-    def _later(self, moved: Array) -> Array:
-        """Return what z may be off as e may have moved by so much, (order, n): all x̃ − x have by the same."""
-        (d, N), (n, m) = self._c.shape[1:], self._controller.plant.B.shape
-        e = np.diag(moved)
-        own = np.vstack([-e, np.zeros((N - n, n))])
-        return np.vstack([e, np.zeros((m, n)), *[own] * d, np.zeros((self._errors.order - n - m - d * N, n))])
 
     @property
     def _z(self) -> Array:

@@ -65,6 +65,8 @@ class Tubes:
             raise AuditFault("what acts together acts between ticks, or at them, in a size above 0")
         if a < 0 or not 0 <= b < 1 or bool(a) == ticks or bool(b) != ticks:
             raise AuditFault("a or b of a tube is out of range")
+        if not summed and any(channel[0] == "swap" for channel, _, _ in acts):
+            raise AuditFault("what u is off its time is summed")
         if entry["summed"] not in (0, 1):
             raise AuditFault("what is summed is 1 or 0")
         faults = [] if all(definite(Q) for Q, _ in forms) else ["Q is not positive definite"]
