@@ -28,13 +28,18 @@ _MORE = (1.6, 2.0)  # times that, as long as bounds get less
 
 @dataclass(kw_only=True)
 class TubeSearch:
-    """Looks for tubes: of the first with what it decays with best, of the others of its kind with the same."""
+    """Looks for tubes: of the first with what it decays with best, of the others of its kind with the same.
+
+    Signals are taken in their sizes in the file first, then in those that they have in the tube that is found so: of
+    all tubes at that decay it is the last that is small by each signal's own measure.
+    """
 
     errors: SampledErrors
     program: TubeProgram
     forms: Sequence[Form]
     rows: BallMatrix  # of the forms, and of inputs where these are none of them
-    weights: Array
+    counts: Array  # of each: what is tracked most
+    sizes: Array  # of each, in the file
     shares: dict[bool, float] = field(default_factory=dict)
 
     @classmethod
@@ -43,12 +48,20 @@ class TubeSearch:
     ) -> "TubeSearch":
         system = errors.clocked
         program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
-        rows, weights = [row(errors, form) for form in forms], _weights(controller, forms)
+        counts, sizes = zip(*(_counted(controller, form) for form in forms), strict=True)
+        rows = [row(errors, form) for form in forms]
         if not controller.compensation.alone:  # what is put out, if x_d moves, and as it does
             for put_out in (each[0] for each in numbers(errors)["u"]):
                 rows.append(BallMatrix.of(put_out, put_out.shape))
-                weights = np.concatenate([weights, _BESIDE / controller.sizes.input**2])
-        return cls(errors=errors, program=program, forms=forms, rows=above(*rows), weights=weights)
+                counts, sizes = (*counts, *[_BESIDE] * len(put_out)), (*sizes, *controller.sizes.input)
+        return cls(
+            errors=errors,
+            program=program,
+            forms=forms,
+            rows=above(*rows),
+            counts=np.array(counts),
+            sizes=np.array(sizes),
+        )
 
     def tubes(self, acts: Acting) -> dict[Channel, tuple[Tube, ...]]:
         """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
@@ -90,7 +103,7 @@ class TubeSearch:
         most = np.sqrt(squares.max(axis=1) if summed else np.maximum(squares.mean(axis=1), _RARE * squares.max(axis=1)))
         rows, whole = self.rows.floats, Drive.together([*drives.values()], [1.0] * len(drives))
         a, b = whole.decay(_SHARES[0] * self.program.most, self.program.system)
-        shares = most * self.program.alone(whole, rows, self.weights, a=a, b=b)
+        shares = most * self.program.alone(whole, rows, self.counts / self.sizes**2, a=a, b=b)
         known = shares.any() and np.isfinite(shares).all()
         shares = np.maximum(shares / shares.sum(), _LEAST) if known else np.ones(len(shares))
         sizes = most / np.sqrt(shares / shares.sum())
@@ -98,31 +111,31 @@ class TubeSearch:
 
     def _best(self, drive: Drive, summed: bool) -> Tube | None:
         known = self.shares.get(summed)
-        best = next(filter(None, (self._at(drive, one, summed) for one in (known, *_SHARES) if one)), None)
+        best = next(filter(None, (self._at(drive, one, summed, self.sizes) for one in (known, *_SHARES) if one)), None)
         if best is None:
             return None
         share = best[1]
         for factor in () if known else _MORE:
-            more = self._at(drive, factor * share, summed)
+            more = self._at(drive, factor * share, summed, self.sizes)
             if more is None or more[0] > best[0]:
                 break
             best = more
         self.shares[summed] = best[1]
-        return best[2]
+        found = self._at(drive, best[1], summed, np.array(best[2].sizes)) or best
+        return replace(found[2], sizes=found[2].sizes[: len(self.forms)])
 
-    def _at(self, drive: Drive, share: float, summed: bool) -> tuple[float, float, Tube] | None:
-        decay = rounded_down(share * self.program.most, 3)
-        found = tube(self.program, drive, self.rows, self.weights, decay, summed=summed)
+    def _at(self, drive: Drive, share: float, summed: bool, sizes: Array) -> tuple[float, float, Tube] | None:
+        """Return what a tube costs where signals have some sizes, the share that was asked for, and the tube."""
+        decay, weights = rounded_down(share * self.program.most, 3), self.counts / np.where(sizes, sizes, np.inf) ** 2
+        found = tube(self.program, drive, self.rows, weights, decay, summed=summed)
         if found is None:
             return None
         ends = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good
-        cost = float(self.weights @ np.square(ends))
-        return cost, share, replace(found, sizes=found.sizes[: len(self.forms)])
+        return float(weights @ np.square(ends)), share, found
 
 
-def _weights(controller: ProvedController, forms: Sequence[Form]) -> Array:
-    """Return what the square of each signal counts: of what is tracked, in sizes, most."""
-    sizes = controller.sizes
+def _counted(controller: ProvedController, form: Form) -> tuple[float, float]:
+    """Return what a signal counts, what is tracked most, and its size."""
+    (kind, k), sizes = form, controller.sizes
     of = {"output": sizes.tracked, "state": sizes.state, "input": sizes.input, "estimate": sizes.state}
-    each = ((1.0 if kind == controller.tracking else _BESIDE) / of[kind][k] ** 2 for kind, k in forms)
-    return np.array(list(each))
+    return 1.0 if kind == controller.tracking else _BESIDE, float(of[kind][k])
