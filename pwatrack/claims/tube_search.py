@@ -1,7 +1,7 @@
 """Looks for tubes of what acts on the errors of a sampled loop: see `lmi.clocked_tubes`."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,25 +22,27 @@ _CORNERS = 64  # at which something acts, up to which it has a tube of its sum b
 _RARE = 0.01  # of the largest square: what counts of a channel that acts seldom
 _LEAST = 1e-4  # of d²: the share of a channel that does little
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
-_SHARES = (0.5, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with, until one is found
-_MORE = (1.6, 2.0)  # times that, as long as bounds get less
+_SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with
+_MIDDLE = 0.5  # of that rate, where one has to do for shares of many
+_FINER = 3  # tubes that are looked for in coordinates of the one before, as long as that helps
+_LESS = 0.01  # of a logarithm: what helps
+_QUICK = 1e9  # cube of the unknowns up to which more than one is looked for, and with other rates: a second or so
 
 
 @dataclass(kw_only=True)
 class TubeSearch:
-    """Looks for tubes: of the first with what it decays with best, of the others of its kind with the same.
+    """Looks for tubes, each with what it decays with best.
 
-    Signals are taken in their sizes in the file first, then in those that they have in the tube that is found so: of
-    all tubes at that decay it is the last that is small by each signal's own measure.
+    Signals are taken in their sizes in the file first, then in those that they have in the tube that is found so, in
+    whose coordinates the next is looked for: so a signal that hardly anything acts on has a bound as small.
     """
 
     errors: SampledErrors
     program: TubeProgram
     forms: Sequence[Form]
-    rows: BallMatrix  # of the forms, and of inputs where these are none of them
+    rows: BallMatrix  # of the forms, of estimated loads, and of inputs where these are no forms
     counts: Array  # of each: what is tracked most
     sizes: Array  # of each, in the file
-    shares: dict[bool, float] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -49,9 +51,12 @@ class TubeSearch:
         system = errors.clocked
         program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
         counts, sizes = zip(*(_counted(controller, form) for form in forms), strict=True)
-        rows = [row(errors, form) for form in forms]
+        rows, read = [row(errors, form) for form in forms], numbers(errors)
+        for estimates in read.get("s_hat", ()):
+            rows.append(BallMatrix.of(estimates[0], estimates[0].shape))
+            counts, sizes = (*counts, *[_BESIDE] * len(estimates[0])), (*sizes, *controller.sizes.load)
         if not controller.compensation.alone:  # what is put out, if x_d moves, and as it does
-            for put_out in (each[0] for each in numbers(errors)["u"]):
+            for put_out in (each[0] for each in read["u"]):
                 rows.append(BallMatrix.of(put_out, put_out.shape))
                 counts, sizes = (*counts, *[_BESIDE] * len(put_out)), (*sizes, *controller.sizes.input)
         return cls(
@@ -102,7 +107,7 @@ class TubeSearch:
         squares = np.array([acts.squares[channel] for channel in drives])
         most = np.sqrt(squares.max(axis=1) if summed else np.maximum(squares.mean(axis=1), _RARE * squares.max(axis=1)))
         rows, whole = self.rows.floats, Drive.together([*drives.values()], [1.0] * len(drives))
-        a, b = whole.decay(_SHARES[0] * self.program.most, self.program.system)
+        a, b = whole.decay(_MIDDLE * self.program.most, self.program.system)
         shares = most * self.program.alone(whole, rows, self.counts / self.sizes**2, a=a, b=b)
         known = shares.any() and np.isfinite(shares).all()
         shares = np.maximum(shares / shares.sum(), _LEAST) if known else np.ones(len(shares))
@@ -110,28 +115,60 @@ class TubeSearch:
         return {channel: float(f"{size:.3g}") for channel, size in zip(drives, sizes.tolist(), strict=True)}
 
     def _best(self, drive: Drive, summed: bool) -> Tube | None:
-        known = self.shares.get(summed)
-        best = next(filter(None, (self._at(drive, one, summed, self.sizes) for one in (known, *_SHARES) if one)), None)
+        """Return the best tube that is found, from the rate on with which the mean of all vertices leaves least."""
+        of_mean = self._of_mean(drive)
+        best = next(filter(None, (self._at(drive, share, summed) for share in _SHARES[of_mean:])), None)
         if best is None:
             return None
-        share = best[1]
-        for factor in () if known else _MORE:
-            more = self._at(drive, factor * share, summed, self.sizes)
-            if more is None or more[0] > best[0]:
+        at = _SHARES.index(best.share)
+        best = self._walked(drive, best, [best.share] * (_FINER if self._quick else 1), summed)
+        if self._quick:
+            best = self._walked(drive, best, _SHARES[at + 1 :], summed)
+        if self._quick and best.share == _SHARES[of_mean]:
+            best = self._walked(drive, best, _SHARES[:at][::-1], summed)
+        return replace(best.tube, sizes=best.tube.sizes[: len(self.forms)])
+
+    def _walked(self, drive: Drive, best: "_Found", shares: Iterable[float], summed: bool) -> "_Found":
+        """Return the last of tubes with some shares, each looked for beside the one before, as long as that helps."""
+        for share in shares:
+            more = self._at(drive, share, summed, best.tube)
+            if more is None or more.cost > best.cost - _LESS:
                 break
             best = more
-        self.shares[summed] = best[1]
-        found = self._at(drive, best[1], summed, np.array(best[2].sizes)) or best
-        return replace(found[2], sizes=found[2].sizes[: len(self.forms)])
+        return best
 
-    def _at(self, drive: Drive, share: float, summed: bool, sizes: Array) -> tuple[float, float, Tube] | None:
-        """Return what a tube costs where signals have some sizes, the share that was asked for, and the tube."""
-        decay, weights = rounded_down(share * self.program.most, 3), self.counts / np.where(sizes, sizes, np.inf) ** 2
-        found = tube(self.program, drive, self.rows, weights, decay, summed=summed)
+    @property
+    def _quick(self) -> bool:
+        system, n = self.program.system, len(self.program.near)
+        return (system.parts * (self.program.knots + 1) * n * (n + 1) // 2) ** 3 <= _QUICK
+
+    def _of_mean(self, drive: Drive) -> int:
+        """Return which share of the rate leaves least in the loop of the mean of all vertices."""
+        program, weights, found = self.program, self.counts / self.sizes**2, list[float]()
+        for share in _SHARES:
+            a, b = drive.decay(share * program.most, program.system)
+            found.append(float(program.alone(drive, self.rows.floats, weights, a=a, b=b).sum() / np.sqrt(share)))
+        return int(np.argmin(np.nan_to_num(found, nan=np.inf)))
+
+    def _at(self, drive: Drive, share: float, summed: bool, near: Tube | None = None) -> "_Found | None":
+        decay = rounded_down(share * self.program.most, 3)
+        sizes = self.sizes if near is None else np.array(near.sizes)
+        weights = self.counts / np.where(sizes, sizes, np.inf) ** 2
+        found = tube(self.program, drive, self.rows, weights, decay, summed=summed, near=near)
         if found is None:
             return None
-        ends = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good
-        return float(weights @ np.square(ends)), share, found
+        sizes = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good
+        cost = self.counts[sizes > 0] @ np.log(sizes[sizes > 0]) / self.counts.sum()
+        return _Found(cost=float(cost), share=share, tube=found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """A tube, with the share of the rate that it decays with, and the mean of the logarithms of what signals have."""
+
+    cost: float
+    share: float
+    tube: Tube
 
 
 def _counted(controller: ProvedController, form: Form) -> tuple[float, float]:

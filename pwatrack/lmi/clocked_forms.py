@@ -18,6 +18,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from pwatrack.arrays import Array, balancing, symmetric_part
 from pwatrack.lmi.bisection import bisected
 from pwatrack.lmi.chain_map import Bound, ChainMap
+from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.primal_dual import least
 
 _FIRST = 8  # boxes that are asked for at first, at each end of a segment; of fewer all
@@ -88,14 +89,14 @@ class ClockedForms:
 
     def inside(self, L: Array, rate: float) -> "ClockedForms":
         """Return the program for L z, falling at a rate less, in periods, with edges of u and v of one length."""
-        back, h = np.linalg.inv(L), self.period
+        frame, h = Frame(L), self.period
         longer = self.longer(L) * np.sqrt(h)
         F, U, V = (
-            L @ (self.F + rate * np.eye(len(L))) @ back * h,
-            L @ self.U * h / longer,
-            self.V @ back * longer[:, None],
+            (frame.inside(self.F) + rate * np.eye(len(L))) * h,
+            frame.left(self.U) * h / longer,
+            frame.right(self.V) * longer[:, None],
         )
-        return replace(self, F=F, U=U, V=V, J=L @ self.J @ back, R=L @ self.R @ back, period=1.0)
+        return replace(self, F=F, U=U, V=V, J=frame.inside(self.J), R=frame.inside(self.R[None])[0], period=1.0)
 
     def longer(self, L: Array) -> Array:
         """Return by how much u is longer than v there, (p,)."""

@@ -37,6 +37,7 @@ from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, Knot, edges, knots_of, looked_for, short_diagonals, shrunk
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
+from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import form_above, sizes_in
 from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_definite, number, scalar
 
@@ -45,6 +46,7 @@ _GAP = 1e-3  # share of the cost that may be missed
 _WORST = 8  # boxes that are added at each end of a segment where some are not satisfied
 _NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as good as nothing
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
+_THIN = 1e-12  # of the largest square of an axis of a tube: the least that coordinates make up for
 _DOUBLINGS = 40  # of a time in periods: after it nothing is left
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
 
@@ -53,8 +55,8 @@ _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalit
 class TubeProgram:
     """Looks for tubes of one system in floating point; what one search finds out about vertices serves the next.
 
-    In coordinates in which a form that is proved to fall is I, and in which what drives is of size 1. Of many vertices
-    few decide: those that the tubes found so far do not satisfy are added, until all are satisfied.
+    In coordinates in which a form that is proved to fall is I, or a tube that is known, and in which what drives is of
+    size 1. Of many vertices few decide: those that the tubes found so far do not satisfy are added, until all are.
     """
 
     system: Clocked  # what z obeys
@@ -62,8 +64,8 @@ class TubeProgram:
     knots: int  # segments of each part
 
     def smallest(
-        self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool
-    ) -> tuple[list[Array], Array] | None:
+        self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool, L: Array
+    ) -> tuple[list[Rational], Array] | None:
         """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ, and T; None where none is found.
 
         Args:
@@ -72,22 +74,24 @@ class TubeProgram:
             a, b: As above.
             slack: Share of the size of what drives by which inequalities are to hold.
             summed: Whether d is.
+            L: Of coordinates L z, (n, n).
         """
-        L, system = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64), self.system
+        system = self.system
         added = np.array([g.floats for g in drive.held_by(system)])
         if drive.ticks is None and not added.any():  # balls alone drive, or nothing: a tube is sought for a little
             drive = drive.slowly(_NOTHING * self.most)
             added = drive.between.floats[None]
-        inside, back, eye = self.clock.inside(L, a / 2), np.linalg.inv(L), np.eye(len(L))
+        frame, inside, eye = Frame(L), self.clock.inside(L, a / 2), np.eye(len(L))
         ticks = np.array([X.floats for X in drive.ticks or [drive.held.times(Fraction(0))] * len(inside.J)])
-        holding = L @ added
-        kicking = L @ ticks / np.sqrt(1.0 if summed else b or np.inf)
-        h = self.clock.period
+        holding = frame.left(added)
+        kicking = frame.left(ticks) / np.sqrt(1.0 if summed else b or np.inf)
+        h, longer = self.clock.period, self.clock.longer(L)
         driving = holding if summed else holding * np.sqrt(h / (a or np.inf))
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
-        W, rest = (rows @ back).T * weights @ (rows @ back) + _FADING * eye, slack * eye
+        seen, rest = frame.right(rows[None])[0], slack * eye
+        W = seen.T * weights @ seen + _FADING * eye
         fixed = [
             Bound({k: (-eye / 2, eye)}, rest + g @ g.T / size)
             for g in (np.unique(holding, axis=0) if summed and drive.ticks is None else ())
@@ -102,8 +106,8 @@ class TubeProgram:
         acting = not (summed or drive.ticks is not None)
         push = _Push(
             clock=inside,
-            g=L @ drive.middles(system) * (h / np.sqrt(size) * acting),
-            q=inside.V @ L @ drive.held.floats / np.sqrt(size) * acting,
+            g=frame.left(drive.middles(system)) * (h / np.sqrt(size) * acting),
+            q=self.clock.V @ drive.held.floats * (longer * np.sqrt(h / size) * acting)[:, None],
             a=a * h,
             rest=(a * h if summed and a else 1.0) * rest,
         )
@@ -115,7 +119,15 @@ class TubeProgram:
         if found is None:
             return None
         Q, T = found
-        return [size * back @ Q_k @ back.T for Q_k in Q], size * T / self.clock.longer(L) ** 2
+        return [frame.outside(Q_k, size) for Q_k in Q], size * T / longer**2
+
+    def frame(self, known: "Tube | None") -> Array:
+        """Return L of the coordinates L z in which the form is I, or the mean of Q_0 … Q_N of a tube."""
+        L = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64)
+        if known is None:
+            return L
+        squares, V = np.linalg.eigh(L @ np.mean([floats(Q.P) for Q in known.Q], axis=0) @ L.T)
+        return np.asarray((V / np.sqrt(np.maximum(squares, _THIN * squares[-1]))).T @ L)
 
     @cached_property
     def clock(self) -> ClockedForms:
@@ -284,7 +296,14 @@ class Tube:
 
 
 def tube(
-    program: TubeProgram, driven: Drive, rows: BallMatrix, weights: Array, decay: float, *, summed: bool = False
+    program: TubeProgram,
+    driven: Drive,
+    rows: BallMatrix,
+    weights: Array,
+    decay: float,
+    *,
+    summed: bool = False,
+    near: Tube | None = None,
 ) -> Tube | None:
     """Return a tube in which Σ weight c Q cᵀ is small, or None where none is proved.
 
@@ -295,6 +314,7 @@ def tube(
         weights: Of each, (s,).
         decay: a in 1/s, or what b makes up for in a period: less than twice the rate with which z falls.
         summed: Whether d is summed.
+        near: One that is known, in whose coordinates it is looked for.
 
     Example: z' = −2 z + 3 d, and ticks that change nothing: |z| ≤ 3/2.
 
@@ -305,9 +325,9 @@ def tube(
         >>> 1.5 < found.sizes[0] < 1.51
         True
     """
-    system, (a, b) = program.system, driven.decay(decay, program.system)
+    system, (a, b), L = program.system, driven.decay(decay, program.system), program.frame(near)
     for slack in _SLACKS:
-        found = program.smallest(driven, rows.floats, weights, a=a, b=b, slack=slack, summed=summed)
+        found = program.smallest(driven, rows.floats, weights, a=a, b=b, slack=slack, summed=summed, L=L)
         if found is None:
             return None
         T = short_diagonals(found[1])
