@@ -39,8 +39,8 @@ class Ring(Protocol):
 class Real(Ring):
     """A number within `radius` of a rational centre; a radius of 0 makes it exact.
 
-    Sums, products and whole powers of exact numbers are exact. What is irrational, such as 2*pi, is a double with a
-    ball around it. The same expression always has the same centre, so what cancels does so exactly.
+    Sums, products and whole powers of exact numbers are exact. What is irrational, such as 2*pi, is 128 digits
+    with a ball around them. The same expression always has the same centre, so what cancels does so exactly.
 
     Example:
         >>> Real.of("0.3") - 3 * Real.of("0.1")
@@ -141,12 +141,12 @@ class Real(Ring):
         return Real(nearest, radius * (1 + _EPS) + abs(nearest) * _EPS + _TINY)
 
     def applied(self, name: str) -> "Real":
-        """Return a function such as sqrt: the nearest double with a ball around it; raises as `enclosed`."""
+        """Return a function such as sqrt, with a ball around it; raises as `enclosed`."""
         return enclosed(lambda x: getattr(x, name)(), self)
 
 
 def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
-    """Return a function of balls, of FLINT's `arb`, as a double with a ball around it.
+    """Return a function of balls, of FLINT's `arb`, as a binary fraction of 128 digits with a ball around it.
 
     Raises ValueError if it is not defined there, OverflowError if it is beyond all doubles.
     """
@@ -165,9 +165,7 @@ def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
         return Real(Fraction(0), Fraction(0) if value.is_zero() else _TINY)
     if value.abs_upper() > flint.arb(2) ** 1024:
         raise OverflowError("not finite")
-    centre, away = (dyadic(part) for part in (value.mid(), value.rad()))
-    nearest = Fraction(float(centre))
-    return Real(nearest, abs(centre - nearest) + away)
+    return Real(dyadic(value.mid()), dyadic(value.rad()))
 
 
 def dyadic(value: Any) -> Fraction:

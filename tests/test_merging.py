@@ -66,7 +66,7 @@ def test_slopes_that_may_differ_by_rounding_are_not_taken_for_one() -> None:
     same = dead_zone(lower=-1, upper=1, lower_slope=root, upper_slope=root)
     other = dead_zone(lower=-1, upper=1, lower_slope=root, upper_slope=Real.of(2).applied("sqrt"))
     (merge,) = merges(alone(same), 0)
-    assert merge.largest > Fraction(float(root.centre))  # above what any number in the ball makes it
+    assert merge.largest > root.centre  # above what any number in the ball makes it
     assert merges(alone(other), 0) == []
 
 
