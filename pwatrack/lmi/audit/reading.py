@@ -10,7 +10,7 @@ from typing import Any
 from .balls import Ball
 from .matrices import AuditFault, Matrix, spend, transposed
 
-FORMAT = "pwatrack certificate 23"  # of the file: 23 has exactly the keys below, and one form of each number
+FORMAT = "pwatrack certificate 24"  # of the file: 24 has exactly the keys below, and one form of each number
 
 _NUMBER = re.compile(r"-?[0-9]{1,4000}(\.[0-9]{1,40})?(e-?[0-9]{1,3})?|-?[0-9]{1,4000}/[0-9]{1,4000}")
 _LARGEST = 2_000  # binary exponent: beyond those of doubles
