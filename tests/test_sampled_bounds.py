@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
@@ -36,6 +37,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.workflow.pipeline import asked_of
 from tests.plain import Plain
 from tests.sampled import asking, integrated, worst_found
 from tests.test_cli import call
@@ -746,6 +748,43 @@ def test_a_run_above_its_bound_is_a_numerical_error(sampled: tuple[Spec, ProvedC
     claims = tuple(replace(one, tubes=small, acts=acts) if one is claim else one for one in controller.claims)
     broken = simulate(spec, replace(controller, claims=claims))
     assert broken.outcome.kind == "above its bound"
+
+
+def _of_size_one(controller: ProvedController, _: object) -> Acting:
+    """1 of each disturbance and of each noise acts, and nothing else."""
+    plant = controller.plant
+    squares: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
+    squares |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
+    H = plant.partition.H
+    near, loads = np.zeros((1, len(H))), np.zeros(0)
+    return Acting(
+        squares=squares, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1), loads=loads
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "h"),
+    [("two_mass_machine", "2e-3"), ("gallery/asymmetric_damper", "3e-5"), ("gallery/diode_ladder", "1e-6")],
+)
+def test_sampled_often_enough_bounds_are_those_in_continuous_time(name: str, h: str, specs: Path) -> None:
+    """About 500 samples in a period of the fastest mode: of all that acts, on what is tracked."""
+    spec = load_spec(specs / f"{name}.yaml")
+    conditions = replace(spec.scenario.conditions, sampling=None, noise=None, quanta=None)
+    spec = replace(spec, scenario=replace(spec.scenario, conditions=conditions))
+    controller = design(spec)
+    conditions = replace(conditions, sampling=Sampling(sample_time=float(h)))
+    often = replace(spec, scenario=replace(spec.scenario, conditions=conditions, duration=500 * float(h)))
+    asked = asked_of(often, None, controller)
+    (loop,) = SampledLoop.prove(controller, asked)
+    controller = replace(controller, claims=(*controller.claims, loop))
+    (found,) = SampledBounds.prove(controller, replace(asked, acting=_of_size_one))
+    for bounds in controller.claim(SignalBounds).acting:
+        if bounds.channel[0] in ("disturbance", "noise"):
+            (of_sampled, *_) = found.tubes[bounds.channel]
+            tracked = {form: bounds.sizes[form] for form in found.forms if form[0] == controller.tracking}
+            for form, size in tracked.items():
+                assert 0.9 * size < of_sampled.sizes[found.forms.index(form)] < 1.2 * size
 
 
 @pytest.fixture(scope="module", params=["gear_with_backlash", "carriage_on_slack_rope"])
