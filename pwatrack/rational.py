@@ -19,6 +19,7 @@ Rational = Any  # flint.fmpq_mat, which comes without types
 
 _CLEARLY = 1e-12  # least eigenvalue, where the diagonal is 1, at which few bits will do
 _MOST_BITS = 8192  # precision at which the balls give up
+_NEARLY = 2.0**-60  # of a number: what a ball around it may have for its middle to be as good as the number
 _QUOTIENT_BITS = 512  # of quotients that only hint at a number: a condition of 1e40 leaves most of them
 
 
@@ -220,6 +221,27 @@ def is_positive_definite(X: Rational) -> bool:
             return sign
         bits *= 2
     return False
+
+
+def root(X: Rational) -> Array:
+    """Return a lower triangular G, X = G Gᵀ, of X ≻ 0, each entry to 2⁻⁵³ of its row's size: the root of X's diagonal.
+
+    Example:
+        >>> root(decimals(np.array([[1e-30, 0.0], [0.0, 4.0]]))).tolist()
+        [[1e-15, 0.0], [0.0, 2.0]]
+    """
+    n, bits = X.nrows(), 128
+    while bits <= _MOST_BITS:
+        with flint.ctx.workprec(bits):
+            rows = [[flint.arb(X[j, k]) for k in range(j + 1)] for j in range(n)]
+            if _pivots(rows):
+                pivots = [rows[k][k].sqrt() for k in range(n)]
+                G = [[rows[j][k] / pivots[k] for k in range(j + 1)] for j in range(n)]
+                near = [flint.arb(X[j, j]).sqrt().lower() * _NEARLY for j in range(n)]
+                if all(v.rad() < size for row, size in zip(G, near, strict=True) for v in row):
+                    return np.array([[float(v.mid()) for v in row] + [0.0] * (n - len(row)) for row in G])
+        bits *= 2
+    raise ValueError("a matrix is not positive definite, as far as can be told")
 
 
 def positive_eigenvalues(X: Rational) -> int:

@@ -122,6 +122,11 @@ class TubeBounds(Claim):
         each = ((self._of(channel), tube) for channel, tubes in self.tubes.items() for tube in tubes)
         return {self.KEY: list(tube_text.told(each, self.forms, self._starts))}
 
+    @property
+    def covered(self) -> set[Channel]:
+        """All channels that have a tube, alone or together."""
+        return {one for channel in self.tubes for one in self._of(channel)}
+
     def _of(self, channel: Channel) -> Sizes:
         """Return which channels a tube is of."""
         return self.together[channel[1]] if channel[0] == "together" else {channel: 1.0}

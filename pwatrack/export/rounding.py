@@ -8,7 +8,7 @@ a point of that one and back. Kicks of size δ in V^½, V a tube of `lmi.clocked
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
 from typing import Literal
@@ -34,14 +34,14 @@ from pwatrack.export.source import Source
 from pwatrack.export.stored import runs
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube
-from pwatrack.rational import floats
+from pwatrack.rational import doubles, near, solved
 
 # Times what a number is at most with real numbers, what there is room for: the first of these that rounding stays in.
 _ROOMS = (1.001, 1.1, 2.0)
 _LESS = 1.001  # times that, what units have room for: for what rounding may add in units
 _MOST = 4096  # sets of planes that are looked at
 _CHANNEL: Channel = ("rounding", 0)
-_OVER = 1 + 1e-6  # more than the rounding of inverses of forms and of bases
+_OVER = 1 + 1e-6  # more than the rounding of products and of bases
 _OTHER = "--float32 is written all the same, and says nothing of it"
 _REFUSED = "what rounding adds: "
 
@@ -87,11 +87,11 @@ class Rounding:
         known, count = self.ranges.bounds, len(self.ranges.bounds.acts.near)
         off: dict[Channel, float] = {("input", k): size for k, size in enumerate(self.put_out.tolist())}
         wanted: list[Channel] = [*off, *(("noise", k) for k in range(len(known.errors.plant.C)))]
-        acts = replace(known.acts, squares={one: np.ones(1) for one in wanted if one not in known.tubes}, means={})
+        acts = replace(known.acts, squares={one: np.ones(1) for one in wanted if one not in known.covered}, means={})
         search = TubeSearch.of(self.controller, known.forms, known.errors, self.proof)
         tubes = {**known.tubes, **search.tubes(acts)}
         kicked = tuple(self._kicked(tube) for each in tubes.values() for tube in each)
-        if not (kicked and off.keys() <= tubes.keys()):
+        if not (kicked and off.keys() <= tubes.keys() | known.covered):
             raise CheckFailed(f"{_REFUSED}no bound was found for what it leaves", hint=_OTHER)
         late, of = known.acts.late, self.controller.sizes
         each = self.predicted + self.corrected
@@ -137,12 +137,14 @@ class Rounding:
 
     def _kicked(self, tube: Tube) -> Tube:
         """Return a tube in units of what V^½ of it is at most by all kicks."""
-        h, forms = self.ranges.bounds.errors.gains.sample_time, np.array([np.linalg.inv(floats(Q.P)) for Q in tube.Q])
-        added = 0.0
+        h, added = self.ranges.bounds.errors.gains.sample_time, 0.0
         for columns, sizes in self._kicks:
-            added += float(np.sqrt(np.einsum("ik,qij,jk->qk", columns, forms, columns).max(axis=0)) @ sizes)
+            off = doubles(columns)
+            each = [near(solved(Q.P, off)) for Q in tube.Q]
+            added += float(np.sqrt(np.einsum("ik,qik->qk", columns, each).max(axis=0)) @ sizes)
         level = added / (1 - np.sqrt(1 - tube.b) * np.exp(-tube.a / 2 * h)) * _OVER
-        return _Kicked(**{**vars(tube), "sizes": tuple(level * size for size in tube.sizes)}, level=level)
+        own = {each.name: getattr(tube, each.name) for each in fields(tube)}
+        return _Kicked(**own | {"sizes": tuple(level * size for size in tube.sizes)}, level=level)
 
     @cached_property
     def _kicks(self) -> list[tuple[Array, Array]]:

@@ -39,7 +39,7 @@ from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import form_above, sizes_in
-from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_definite, number, scalar
+from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_definite, number, root, scalar
 
 _BITS = (40, 80)  # of the entries of Q_k
 _GAP = 1e-3  # share of the cost that may be missed
@@ -47,6 +47,7 @@ _WORST = 8  # boxes that are added at each end of a segment where some are not s
 _NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as good as nothing
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 _THIN = 1e-12  # of the largest square of an axis of a tube: the least that coordinates make up for
+_ROUNDING = 2.0**-51  # twice what an entry of a root, and a product with it, are off by, of its row's size
 _DOUBLINGS = 40  # of a time in periods: after it nothing is left
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
 
@@ -290,9 +291,14 @@ class Tube:
     summed: bool = False  # whether it is one of what is summed
 
     def spread(self, rows: Array) -> Array:
-        """Return max_k (c Q_k cᵀ)^½ for other rows c, (s, n), in floating point, a little more."""
-        Q = np.array([floats(Q_k.P) for Q_k in self.Q])
-        return np.asarray(np.sqrt(np.einsum("si,kij,sj->ks", rows, Q, rows).max(axis=0)) * OVER_POWERS)
+        """Return max_k (c Q_k cᵀ)^½ for other rows c, (s, n), in floating point, with what that may be off by."""
+        off = rows.shape[1] * _ROUNDING * (np.abs(rows) @ np.linalg.norm(self._roots, axis=2).T)
+        each = np.linalg.norm(rows @ self._roots, axis=2)
+        return np.asarray((each + off.T).max(axis=0) * OVER_POWERS)
+
+    @cached_property
+    def _roots(self) -> Array:
+        return np.array([root(Q.P) for Q in self.Q])
 
 
 def tube(
