@@ -24,9 +24,9 @@ _LEAST = 1e-4  # of d²: the share of a channel that does little
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with
 _MIDDLE = 0.5  # of that rate, where one has to do for shares of many
-_FINER = 3  # tubes that are looked for in coordinates of the one before, as long as that helps
+_FINER = 2  # tubes that are looked for in coordinates of the one before, as long as that helps
 _LESS = 0.01  # of a logarithm: what helps
-_QUICK = 1e9  # cube of the unknowns up to which more than one is looked for, and with other rates: a second or so
+_QUICK = 1e9  # cube of the unknowns up to which other rates are tried: a second or so
 
 
 @dataclass(kw_only=True)
@@ -121,7 +121,7 @@ class TubeSearch:
         if best is None:
             return None
         at = _SHARES.index(best.share)
-        best = self._walked(drive, best, [best.share] * (_FINER if self._quick else 1), summed)
+        best = self._walked(drive, best, [best.share] * _FINER, summed)
         if self._quick:
             best = self._walked(drive, best, _SHARES[at + 1 :], summed)
         if self._quick and best.share == _SHARES[of_mean]:
@@ -147,7 +147,9 @@ class TubeSearch:
         program, weights, found = self.program, self.counts / self.sizes**2, list[float]()
         for share in _SHARES:
             a, b = drive.decay(share * program.most, program.system)
-            found.append(float(program.alone(drive, self.rows.floats, weights, a=a, b=b).sum() / np.sqrt(share)))
+            with np.errstate(all="ignore"):  # what does not decay as fast is out of range
+                alone = program.alone(drive, self.rows.floats, weights, a=a, b=b)
+            found.append(float(alone.sum() / np.sqrt(share)))
         return int(np.argmin(np.nan_to_num(found, nan=np.inf)))
 
     def _at(self, drive: Drive, share: float, summed: bool, near: Tube | None = None) -> "_Found | None":
