@@ -61,7 +61,12 @@ def amount(count: int, what: str) -> str:
 
 def up(value: float) -> str:
     """Return a number in three digits, not smaller."""
-    return number_text(float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(value)), ".3g")
+    return number_text(rounded_up(value, 3), ".3g")
+
+
+def rounded_up(value: float, digits: int) -> float:
+    """Return a number of so many digits, not smaller: two processors enclose the same."""
+    return float(Context(prec=digits, rounding=ROUND_CEILING).create_decimal(value))
 
 
 def complex_text(value: complex) -> str:

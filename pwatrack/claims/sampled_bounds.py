@@ -11,7 +11,6 @@ in which substeps that is so; then less is driven, which makes that bound less, 
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from decimal import ROUND_CEILING, Context
 from functools import cached_property, reduce
 from itertools import product
 from math import ceil
@@ -19,7 +18,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, up
+from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, rounded_up, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims import tube_text
 from pwatrack.claims.bounds import in_ellipsoid
@@ -44,6 +43,7 @@ _MOST = 300_000  # work of one proof times tubes that are looked for: an auditor
 _LONGEST = 3e11  # tubes times the cube of the unknowns of each: two minutes
 _CORNERS = 64  # of boxes of flows, up to which each is looked at for tubes: bounds are up to a half less then
 _END = 10  # the end of a run is a tenth of it
+_DIGITS = 4  # of what is told
 _LOOKS = 30  # at where predictions may cross planes, at most
 
 
@@ -137,7 +137,7 @@ class TubeBounds(Claim):
         That is its last tenth, or the last period of the reference where that is longer.
         """
         last = self._last(controller)
-        return {form: _above(float(most[last].max())) for form, most in self.from_zero.items()}
+        return {form: rounded_up(float(most[last].max()), _DIGITS) for form, most in self.from_zero.items()}
 
     def ends_by(self, controller: ProvedController, form: Form) -> dict[Channel, float]:
         """Return what each channel leaves of a signal there at most; of those with one tube the share of it."""
@@ -326,7 +326,7 @@ class TubeBounds(Claim):
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         ends = self.ends_below(controller)
         acts = self._acting(words, controller)
-        never = {form: _above(float(each.max())) for form, each in self.from_start.items()}
+        never = {form: rounded_up(float(each.max()), _DIGITS) for form, each in self.from_start.items()}
         return {
             self.KEY: {
                 "acts": {name: {"at_most": size, "unit": unit} for name, size, unit in acts.values()},
@@ -354,7 +354,7 @@ class TubeBounds(Claim):
         for channel, squares in self.acts.squares.items():
             if channel[0] != "start":
                 name, unit = channel_text(channel, self.errors, words, controller)
-                found[channel] = name, _above(float(np.sqrt(squares.max()))), unit
+                found[channel] = name, rounded_up(float(np.sqrt(squares.max())), _DIGITS), unit
         return found
 
 
@@ -446,8 +446,3 @@ def seen(controller: ProvedController) -> Iterator[Form]:
     if controller.compensation.alone:
         yield from (("input", k) for k in range(m))
     yield from (("estimate", k) for k in range(n))
-
-
-def _above(size: float) -> float:
-    """Return a number of four digits, not smaller: two processors enclose the same."""
-    return float(Context(prec=4, rounding=ROUND_CEILING).create_decimal(size))
