@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims import tube_text
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop
@@ -732,6 +733,16 @@ def test_a_forged_tube_is_refused(what: str, content: dict[str, Any]) -> None:
     forged = copy.deepcopy(content)
     FORGED[what](forged["sampled_bounds"])
     assert audit(json.dumps(forged))[1]
+
+
+def test_tubes_of_two_starts_are_refused(content: dict[str, Any]) -> None:
+    entries = copy.deepcopy(content["sampled_bounds"])
+    tube_text.read(entries)
+    (one,) = (each for each in entries if each["acts"][0]["channel"][0] == "start")
+    other = copy.deepcopy(one)
+    other["acts"][0]["start"][0] = "0.5"
+    with pytest.raises(ValueError, match="different starts"):
+        tube_text.read([*entries, other])
 
 
 def test_a_run_above_its_bound_is_a_numerical_error(sampled: tuple[Spec, ProvedController]) -> None:

@@ -107,6 +107,8 @@ class TubeBounds(Claim):
             tubes, together = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
             for whole, tube in entries:
                 of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
+                if not of:
+                    continue
                 if not of.keys() <= acts.squares.keys():
                     raise ValueError("a tube is of something that does not act")
                 if not tube.summed and any(kind == "swap" for kind, _ in of):

@@ -43,7 +43,10 @@ def told(
 
 def read(entries: Sequence[Any]) -> tuple[list[tuple[Sizes, Tube]], dict[Channel, Any]]:
     """Return the tubes of entries, and the starts that these tell of."""
-    starts = {read_channel(one["channel"]): one["start"] for each in entries for one in each["acts"] if "start" in one}
+    starts = dict[Channel, Any]()
+    for one in (one for each in entries for one in each["acts"] if "start" in one):
+        if starts.setdefault(read_channel(one["channel"]), one["start"]) != one["start"]:
+            raise ValueError("tubes tell of different starts")
     found = list[tuple[Sizes, Tube]]()
     for entry in entries:
         tube = Tube(
