@@ -93,6 +93,19 @@ def solved(A: Rational, B: Rational) -> Any:
         return A.inv() * B
 
 
+def squares_in(Q: Rational, columns: Array) -> Array:
+    """Return cᵀ Q⁻¹ c of columns c, (n, k), rounded up but for a rounding of doubles.
+
+    Example:
+        >>> squares_in(decimals(np.array([[0.25, 0.0], [0.0, 1.0]])), np.eye(2)).tolist()
+        [4.0, 1.0]
+    """
+    C = doubles(columns)
+    with flint.ctx.workprec(_QUOTIENT_BITS):
+        product = flint.arb_mat(C.transpose()) * flint.arb_mat(solved(Q, C))
+    return np.array([float(product[k, k].upper()) for k in range(C.ncols())])
+
+
 def near(X: Any) -> Array:
     """Return about the middle of a matrix of balls, or of rationals, as doubles."""
     if isinstance(X, flint.fmpq_mat):

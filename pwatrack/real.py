@@ -11,6 +11,7 @@ from typing import Any, Protocol, Self
 from pwatrack.arrays import number_text
 
 _BITS = 128  # of the arithmetic that encloses sines, roots and the like
+_KEPT = 80  # of what it gives: more make exact arithmetic slow, and the 53 of doubles are too few for thin tubes
 _MOST_BITS = 16_384  # of a fraction
 _EPS = Fraction(1, 2**50)  # more than a rounding of a double, of its size
 _TINY = Fraction(1, 2**1060)  # the same where doubles lose digits
@@ -39,8 +40,8 @@ class Ring(Protocol):
 class Real(Ring):
     """A number within `radius` of a rational centre; a radius of 0 makes it exact.
 
-    Sums, products and whole powers of exact numbers are exact. What is irrational, such as 2*pi, is 128 digits
-    with a ball around them. The same expression always has the same centre, so what cancels does so exactly.
+    Sums, products and whole powers of exact numbers are exact. What is irrational, such as 2*pi, is 80 binary
+    digits with a ball around them. The same expression always has the same centre, so what cancels does so exactly.
 
     Example:
         >>> Real.of("0.3") - 3 * Real.of("0.1")
@@ -146,7 +147,7 @@ class Real(Ring):
 
 
 def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
-    """Return a function of balls, of FLINT's `arb`, as a binary fraction of 128 digits with a ball around it.
+    """Return a function of balls, of FLINT's `arb`, as 80 binary digits with a ball around them.
 
     Raises ValueError if it is not defined there, OverflowError if it is beyond all doubles.
     """
@@ -165,7 +166,11 @@ def enclosed(function: Callable[..., Any], *arguments: Real) -> Real:
         return Real(Fraction(0), Fraction(0) if value.is_zero() else _TINY)
     if value.abs_upper() > flint.arb(2) ** 1024:
         raise OverflowError("not finite")
-    return Real(dyadic(value.mid()), dyadic(value.rad()))
+    with flint.ctx.workprec(_KEPT):
+        kept = value * 1
+    centre, away = dyadic(kept.mid()), dyadic(kept.rad())
+    nearest = Fraction(float(centre))  # cos(pi) is -1
+    return Real(nearest, abs(centre - nearest) + away) if abs(centre - nearest) <= away else Real(centre, away)
 
 
 def dyadic(value: Any) -> Fraction:

@@ -34,7 +34,7 @@ from pwatrack.export.source import Source
 from pwatrack.export.stored import runs
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_tubes import Tube
-from pwatrack.rational import doubles, near, solved
+from pwatrack.rational import squares_in
 
 # Times what a number is at most with real numbers, what there is room for: the first of these that rounding stays in.
 _ROOMS = (1.001, 1.1, 2.0)
@@ -139,9 +139,7 @@ class Rounding:
         """Return a tube in units of what V^½ of it is at most by all kicks."""
         h, added = self.ranges.bounds.errors.gains.sample_time, 0.0
         for columns, sizes in self._kicks:
-            off = doubles(columns)
-            each = [near(solved(Q.P, off)) for Q in tube.Q]
-            added += float(np.sqrt(np.einsum("ik,qik->qk", columns, each).max(axis=0)) @ sizes)
+            added += float(np.sqrt(np.max([squares_in(Q.P, columns) for Q in tube.Q], axis=0)) @ sizes)
         level = added / (1 - np.sqrt(1 - tube.b) * np.exp(-tube.a / 2 * h)) * _OVER
         own = {each.name: getattr(tube, each.name) for each in fields(tube)}
         return _Kicked(**own | {"sizes": tuple(level * size for size in tube.sizes)}, level=level)

@@ -48,6 +48,7 @@ _NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as go
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 _THIN = 1e-12  # of the largest square of an axis of a tube: the least that coordinates make up for
 _ROUNDING = 2.0**-51  # twice what an entry of a root, and a product with it, are off by, of its row's size
+_MOST_OF_V = 0.99  # what b is at most
 _DOUBLINGS = 40  # of a time in periods: after it nothing is left
 _SLACKS = (1e-6, 3e-5, 1e-3)  # of the square of what drives, by which inequalities are to hold, until they are proved
 
@@ -250,7 +251,7 @@ class Drive:
         """Return a and b of a tube that makes up for a rate in 1/s where the scalars act."""
         if self.ticks is None:
             return rate, 0.0
-        return 0.0, rounded_down(-float(np.expm1(-rate * float(system.period))), 3)
+        return 0.0, rounded_down(min(-float(np.expm1(-rate * float(system.period))), _MOST_OF_V), 3)
 
     def middles(self, system: Clocked) -> Array:
         """Return F_i E + G, (v, n, d)."""

@@ -4,6 +4,7 @@ import keyword
 import re
 from collections import Counter
 from collections.abc import Callable
+from fractions import Fraction
 from math import inf
 from typing import Annotated, Any, Literal
 
@@ -62,6 +63,8 @@ def _text(value: Any, what: str) -> str | Expression:
 
 
 def _sized(value: Real) -> Real:
+    if value.radius and abs(value.centre) <= value.radius:  # cos(pi/2) is 0 for all that looks at sizes
+        return Real(Fraction(0), abs(value.centre) + value.radius)
     size = abs(float(value))
     if size > LARGEST:
         raise ValueError(f"{float(value):g} is larger than {LARGEST:g}")
