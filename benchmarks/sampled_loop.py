@@ -23,15 +23,14 @@ from pwatrack.arrays import Array
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds, seen
-from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
-from pwatrack.control.sampled_disturbances import Acting, row
+from pwatrack.control.sampled_disturbances import row
 from pwatrack.errors import PwatrackError
 from pwatrack.model.conditions import Method, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.pipeline import asked_of, design, simulate
-from tests.sampled import worst_found
+from tests.sampled import all_of_size_one, worst_found
 
 SPECS = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]
 _SAMPLES = 25  # in a period of the fastest mode
@@ -73,7 +72,7 @@ def errors(spec: Spec, controller: ProvedController, h: float) -> list[float]:
 def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[float], list[float]]:
     """Return how many times those in continuous time bounds of the sampled loop are, and what is reached of them."""
     times, reached = list[float](), list[float]()
-    for claim in SampledBounds.prove(controller, replace(asked, acting=_all_of_size_one)):
+    for claim in SampledBounds.prove(controller, replace(asked, acting=all_of_size_one)):
         known = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
         for channel, (tube, *_) in claim.tubes.items():
             for form, size in zip(seen(controller), tube.sizes, strict=True):
@@ -82,15 +81,6 @@ def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[
                     c = row(claim.errors, form).floats
                     reached += [worst_found(claim, channel, c, seed) / size for seed in range(_SWITCHINGS)]
     return times, reached
-
-
-def _all_of_size_one(controller: ProvedController, _: object) -> Acting:
-    plant = controller.plant
-    found: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
-    found |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
-    H = plant.partition.H
-    near, loads = np.zeros((1, len(H))), np.zeros(0 if plant.loads is None else len(plant.loads.S.floats))
-    return Acting(squares=found, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1), loads=loads)
 
 
 def main(paths: list[Path]) -> None:

@@ -250,8 +250,8 @@ def root(X: Rational) -> Array:
             if _pivots(rows):
                 pivots = [rows[k][k].sqrt() for k in range(n)]
                 G = [[rows[j][k] / pivots[k] for k in range(j + 1)] for j in range(n)]
-                near = [flint.arb(X[j, j]).sqrt().lower() * _NEARLY for j in range(n)]
-                if all(v.rad() < size for row, size in zip(G, near, strict=True) for v in row):
+                sizes = [flint.arb(X[j, j]).sqrt().lower() * _NEARLY for j in range(n)]
+                if all(v.rad() < size for row, size in zip(G, sizes, strict=True) for v in row):
                     return np.array([[float(v.mid()) for v in row] + [0.0] * (n - len(row)) for row in G])
         bits *= 2
     raise ValueError("a matrix is not positive definite, as far as can be told")

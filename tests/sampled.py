@@ -12,12 +12,22 @@ from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import TubeBounds
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
-from pwatrack.control.sampled_disturbances import driven
+from pwatrack.control.sampled_disturbances import Acting, driven
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.model.pwa import PWASystem
 from pwatrack.workflow.pipeline import asked_of
+
+
+def all_of_size_one(controller: ProvedController, _: object) -> Acting:
+    """1 of each disturbance and of each noise acts, and nothing else."""
+    plant = controller.plant
+    found: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
+    found |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
+    H = plant.partition.H
+    near, loads = np.zeros((1, len(H))), np.zeros(0 if plant.loads is None else len(plant.loads.S.floats))
+    return Acting(squares=found, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1), loads=loads)
 
 
 def kalman(plant: PWASystem, h: float, *, q: float = 1.0, r: float = 1.0) -> Array:

@@ -40,7 +40,7 @@ from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.workflow.pipeline import asked_of
 from tests.plain import Plain
-from tests.sampled import asking, integrated, worst_found
+from tests.sampled import all_of_size_one, asking, integrated, worst_found
 from tests.test_cli import call
 
 MACHINE = """
@@ -761,18 +761,6 @@ def test_a_run_above_its_bound_is_a_numerical_error(sampled: tuple[Spec, ProvedC
     assert broken.outcome.kind == "above its bound"
 
 
-def _of_size_one(controller: ProvedController, _: object) -> Acting:
-    """1 of each disturbance and of each noise acts, and nothing else."""
-    plant = controller.plant
-    squares: dict[Channel, Array] = {("disturbance", k): np.ones(1) for k in range(len(plant.B))}
-    squares |= {("noise", k): np.ones(1) for k in range(len(plant.C))}
-    H = plant.partition.H
-    near, loads = np.zeros((1, len(H))), np.zeros(0)
-    return Acting(
-        squares=squares, means={}, beside={}, planes=H, near=near, apart=near, changes=np.zeros(1), loads=loads
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "h"),
@@ -789,7 +777,7 @@ def test_sampled_often_enough_bounds_are_those_in_continuous_time(name: str, h: 
     asked = asked_of(often, None, controller)
     (loop,) = SampledLoop.prove(controller, asked)
     controller = replace(controller, claims=(*controller.claims, loop))
-    (found,) = SampledBounds.prove(controller, replace(asked, acting=_of_size_one))
+    (found,) = SampledBounds.prove(controller, replace(asked, acting=all_of_size_one))
     for bounds in controller.claim(SignalBounds).acting:
         if bounds.channel[0] in ("disturbance", "noise"):
             (of_sampled, *_) = found.tubes[bounds.channel]

@@ -146,12 +146,11 @@ class TubeBounds(Claim):
         k, last, found = self.forms.index(form), self._last(controller), dict[Channel, float]()
         for channel, each in (self._settled or {}).items():
             tubes = self.tubes[channel]
-            most, first = (
-                min(float((V[last] * one.sizes[k]).max()) for V, one in zip(each, tubes, strict=True)),
-                tubes[0],
-            )
+            most = min(float((V[last] * one.sizes[k]).max()) for V, one in zip(each, tubes, strict=True))
             acts = {one: size for one, size in self._of(channel).items() if one in self.acts.squares}
-            parts = {one: self._alone(one, size, first)[last].max() for one, size in acts.items() if one[0] != "start"}
+            parts = {
+                one: self._alone(one, size, tubes[0])[last].max() for one, size in acts.items() if one[0] != "start"
+            }
             total = sum(parts.values())
             found |= {one: most * float(part / total) for one, part in parts.items() if part > 0}
         return found

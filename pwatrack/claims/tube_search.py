@@ -52,13 +52,12 @@ class TubeSearch:
         program = TubeProgram(system=system, near=floats(proof.P[0].P), knots=len(proof.P) // system.parts - 1)
         counts, sizes = zip(*(_counted(controller, form) for form in forms), strict=True)
         rows, read = [row(errors, form) for form in forms], numbers(errors)
-        for estimates in read.get("s_hat", ()):
-            rows.append(BallMatrix.of(estimates[0], estimates[0].shape))
-            counts, sizes = (*counts, *[_BESIDE] * len(estimates[0])), (*sizes, *controller.sizes.load)
+        others = [(each[0], controller.sizes.load) for each in read.get("s_hat", ())]
         if not controller.compensation.alone:  # what is put out, if x_d moves, and as it does
-            for put_out in (each[0] for each in read["u"]):
-                rows.append(BallMatrix.of(put_out, put_out.shape))
-                counts, sizes = (*counts, *[_BESIDE] * len(put_out)), (*sizes, *controller.sizes.input)
+            others += [(each[0], controller.sizes.input) for each in read["u"]]
+        for more, own in others:
+            rows.append(BallMatrix.of(more, more.shape))
+            counts, sizes = (*counts, *[_BESIDE] * len(more)), (*sizes, *own)
         return cls(
             errors=errors,
             program=program,
@@ -139,8 +138,7 @@ class TubeSearch:
 
     @property
     def _quick(self) -> bool:
-        system, n = self.program.system, len(self.program.near)
-        return (system.parts * (self.program.knots + 1) * n * (n + 1) // 2) ** 3 <= _QUICK
+        return self.program.clock.unknowns**3 <= _QUICK
 
     def _of_mean(self, drive: Drive) -> int:
         """Return which share of the rate leaves least in the loop of the mean of all vertices."""

@@ -87,12 +87,12 @@ class ClockedForms:
         U, V = U[: len(own), :, acting], V[: len(own), acting]
         return replace(self, F=own, U=U, V=V, J=J, R=R, sizes=self.sizes[where], near=None, begin=None, asked={})
 
-    def inside(self, L: Array, rate: float) -> "ClockedForms":
+    def inside(self, frame: Frame, rate: float) -> "ClockedForms":
         """Return the program for L z, falling at a rate less, in periods, with edges of u and v of one length."""
-        frame, h = Frame(L), self.period
-        longer = self.longer(L) * np.sqrt(h)
+        h = self.period
+        longer = self.longer(frame.L) * np.sqrt(h)
         F, U, V = (
-            (frame.inside(self.F) + rate * np.eye(len(L))) * h,
+            (frame.inside(self.F) + rate * np.eye(len(frame.L))) * h,
             frame.left(self.U) * h / longer,
             frame.right(self.V) * longer[:, None],
         )
@@ -199,7 +199,7 @@ class ClockedForms:
         if rate >= self.most:
             return None
         L, longer = self.coordinates, self.longer(self.coordinates)
-        weight, inside = np.eye(len(L)) * min(1.0, 2 * self.most * self.period), self.inside(L, rate)
+        weight, inside = np.eye(len(L)) * min(1.0, 2 * self.most * self.period), self.inside(Frame(L), rate)
         begin = None if self.begin is None else self.begin.inside(L, longer)
 
         found = self.of_few(

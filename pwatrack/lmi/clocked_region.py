@@ -34,6 +34,7 @@ from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves, short_diagonals
 from pwatrack.lmi.ellipsoid import reach_of, short_weights
 from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import square_above
 from pwatrack.lmi.saturated import short
 from pwatrack.rational import Rational, diagonal, floats, is_positive_definite
@@ -151,7 +152,7 @@ class SaturatedTicks:
         L = L / np.linalg.norm(L @ G, 2)
         rows = rows / max(_longest(rows @ G), _SEEN * _longest(rows @ np.linalg.inv(L)))
         L = np.asarray(np.linalg.cholesky(L.T @ L + rows.T @ rows)).T
-        inside, rows = clock.inside(L, rate), rows @ np.linalg.inv(L)
+        inside, rows = clock.inside(Frame(L), rate), rows @ np.linalg.inv(L)
         values, V = np.linalg.eigh(L @ G @ G.T @ L.T)
         starts, eye, last = V * np.sqrt(np.maximum(values, 0.0)), np.eye(len(L)), clock.count - 1
         less, nothing = (-eye / 2, eye), np.zeros_like(eye)

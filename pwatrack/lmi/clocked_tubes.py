@@ -66,7 +66,7 @@ class TubeProgram:
     knots: int  # segments of each part
 
     def smallest(
-        self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool, L: Array
+        self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float, slack: float, summed: bool, at: Frame
     ) -> tuple[list[Rational], Array] | None:
         """Return Q at the knots, (n, n) each, with the least sum of weight c Q cᵀ, and T; None where none is found.
 
@@ -76,23 +76,23 @@ class TubeProgram:
             a, b: As above.
             slack: Share of the size of what drives by which inequalities are to hold.
             summed: Whether d is.
-            L: Of coordinates L z, (n, n).
+            at: Coordinates that it is looked for in.
         """
         system = self.system
         added = np.array([g.floats for g in drive.held_by(system)])
         if drive.ticks is None and not added.any():  # balls alone drive, or nothing: a tube is sought for a little
             drive = drive.slowly(_NOTHING * self.most)
             added = drive.between.floats[None]
-        frame, inside, eye = Frame(L), self.clock.inside(L, a / 2), np.eye(len(L))
+        inside, eye = self.clock.inside(at, a / 2), np.eye(len(at.L))
         ticks = np.array([X.floats for X in drive.ticks or [drive.held.times(Fraction(0))] * len(inside.J)])
-        holding = frame.left(added)
-        kicking = frame.left(ticks) / np.sqrt(1.0 if summed else b or np.inf)
-        h, longer = self.clock.period, self.clock.longer(L)
+        holding = at.left(added)
+        kicking = at.left(ticks) / np.sqrt(1.0 if summed else b or np.inf)
+        h, longer = self.clock.period, self.clock.longer(at.L)
         driving = holding if summed else holding * np.sqrt(h / (a or np.inf))
         size = max(float((driving**2).max()), float((kicking**2).max()))
         if not 0 < size < np.inf:
             return None
-        seen, rest = frame.right(rows[None])[0], slack * eye
+        seen, rest = at.right(rows[None])[0], slack * eye
         W = seen.T * weights @ seen + _FADING * eye
         fixed = [
             Bound({k: (-eye / 2, eye)}, rest + g @ g.T / size)
@@ -108,7 +108,7 @@ class TubeProgram:
         acting = not (summed or drive.ticks is not None)
         push = _Push(
             clock=inside,
-            g=frame.left(drive.middles(system)) * (h / np.sqrt(size) * acting),
+            g=at.left(drive.middles(system)) * (h / np.sqrt(size) * acting),
             q=self.clock.V @ drive.held.floats * (longer * np.sqrt(h / size) * acting)[:, None],
             a=a * h,
             rest=(a * h if summed and a else 1.0) * rest,
@@ -121,15 +121,15 @@ class TubeProgram:
         if found is None:
             return None
         Q, T = found
-        return [frame.outside(Q_k, size) for Q_k in Q], size * T / longer**2
+        return [at.outside(Q_k, size) for Q_k in Q], size * T / longer**2
 
-    def frame(self, known: "Tube | None") -> Array:
-        """Return L of the coordinates L z in which the form is I, or the mean of Q_0 … Q_N of a tube."""
+    def frame(self, known: "Tube | None") -> Frame:
+        """Return the coordinates in which the form is I, or the mean of Q_0 … Q_N of a tube."""
         L = np.asarray(np.linalg.cholesky(self.near).T, dtype=np.float64)
         if known is None:
-            return L
+            return Frame(L)
         squares, V = np.linalg.eigh(L @ np.mean([floats(Q.P) for Q in known.Q], axis=0) @ L.T)
-        return np.asarray((V / np.sqrt(np.maximum(squares, _THIN * squares[-1]))).T @ L)
+        return Frame((V / np.sqrt(np.maximum(squares, _THIN * squares[-1]))).T @ L)
 
     @cached_property
     def clock(self) -> ClockedForms:
@@ -332,9 +332,9 @@ def tube(
         >>> 1.5 < found.sizes[0] < 1.51
         True
     """
-    system, (a, b), L = program.system, driven.decay(decay, program.system), program.frame(near)
+    system, (a, b), frame = program.system, driven.decay(decay, program.system), program.frame(near)
     for slack in _SLACKS:
-        found = program.smallest(driven, rows.floats, weights, a=a, b=b, slack=slack, summed=summed, L=L)
+        found = program.smallest(driven, rows.floats, weights, a=a, b=b, slack=slack, summed=summed, at=frame)
         if found is None:
             return None
         T = short_diagonals(found[1])
