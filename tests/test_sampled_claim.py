@@ -22,6 +22,7 @@ from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains, sampled_gains
+from pwatrack.control.sampled_optimal import candidates
 from pwatrack.control.sampled_search import with_forms
 from pwatrack.control.vertices import boxes, differences, held_rows, outermost
 from pwatrack.lmi.audit.balls import Ball
@@ -36,6 +37,7 @@ from pwatrack.rational import floats as floats_of
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.sampled_runs import SampleMaps, sampling_remarks
+from pwatrack.workflow.pipeline import asked_of
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
 
 LOADED = """
@@ -179,6 +181,24 @@ def test_a_certificate_holds_the_proof_and_is_read_again(
     other = replace(the_claim(found).gains, delay=1)
     with pytest.raises(ValueError, match="not those of its certificate"):
         list(SampledLoop.read(content, found, asking(spec, found, other)))
+
+
+def test_where_gains_of_the_mean_have_no_proof_those_for_all_cells_have_one(specs: Path) -> None:
+    spec = load_spec(specs / "gallery" / "carriage_on_slack_rope.yaml")
+    spec = replace(spec, scenario=replace(spec.scenario, conditions=Conditions(sampling=Sampling(sample_time=0.0055))))
+    controller = design(spec)
+    claim, own = controller.claim(SampledLoop), asked_of(spec, None, replace(controller, claims=()))
+    assert claim.proof is not None
+    assert own.sampled is not None
+    every = list(candidates(controller.plant, controller.sizes, spec.objectives.goals, own.sampled))
+    proved = [with_forms(controller.plant, each, claim.estimates, controller.sizes) is not None for each in every[:-1]]
+    assert not any(proved[:-1])
+    assert (claim.gains.M == every[-1 - proved[-1]].M).all()
+    content = design_certificate(spec, controller)
+    assert not audit(json.dumps(content))[1]
+    (told,) = SampledLoop.read(content, controller, own)
+    assert told.data(controller) == claim.data(controller)
+    assert not any("other gains" in one for one in sampling_remarks(controller, spec.scenario.conditions))
 
 
 FORGED: dict[str, Callable[[Any], Any]] = {

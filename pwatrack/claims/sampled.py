@@ -1,8 +1,9 @@
 """What is proved of the program itself: a loop that is sampled, with inputs that are held, between its ticks too."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
@@ -86,7 +87,7 @@ class SampledLoop(SampledClaim):
     def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
         """Yield the proof, or why there is none, where the loop is to be sampled."""
         if asked.sampled is not None:
-            found = _proved(controller, list(_candidates(controller, asked, asked.sampled)))
+            found = _proved(controller, _candidates(controller, asked, asked.sampled))
             yield found if asked.room is None else replace(found, cheaper=_cheaper(controller, asked, found.gains))
 
     @classmethod
@@ -207,24 +208,29 @@ def _cheaper(controller: ProvedController, asked: Asked, gains: SampledGains) ->
     assert asked.sampled is not None
     of, goal = asked.sampled, asked.words.goals.get(CONTROLLER)
     sampling = Sampling(sample_time=of.sample_time, delay=of.delay, jitter=of.jitter)
-    own = [*_candidates(controller, asked, sampled_gains(controller.plant, controller.K, controller.L, sampling))]
-    if any(_same(gains, each) for each in own):
+    begun = sampled_gains(controller.plant, controller.K, controller.L, sampling)
+
+    def own() -> Iterator[SampledGains]:
+        return _candidates(controller, asked, begun)
+
+    if any(_same(gains, each) for each in own()):
         return None
     sought = asked.room is not None and isinstance(goal, AtLeast)
-    made = any(_same(replace(gains, K=each.K), each) for each in own) and sought
+    made = any(_same(replace(gains, K=each.K), each) for each in own()) and sought
     if not made and not any(_same(gains, each) for each in _candidates(controller, asked, of)):
         raise ValueError("the gains of the sampled loop are not those of its certificate")
-    return own[0].K if sought else None
+    return next(own()).K if sought else None
 
 
-def _proved(controller: ProvedController, tried: Sequence[SampledGains]) -> SampledLoop:
+def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> SampledLoop:
     """Return a proof of the first gains that have one, with as many substeps as it needs; else the first, without."""
-    if missing := _beyond(controller, tried[0]):
-        return SampledLoop(gains=tried[0], proof=None, missing=missing)
+    first = next(tried)
+    if missing := _beyond(controller, first):
+        return SampledLoop(gains=first, proof=None, missing=missing)
     design = controller.plant, controller.design.K, controller.design.L, controller.sizes
     estimates = on_estimates(controller)
-    found = (with_forms(controller.plant, gains, estimates, controller.sizes) for gains in tried)
-    gains, proof = next((each for each in found if each is not None), (tried[0], None))
+    found = (with_forms(controller.plant, gains, estimates, controller.sizes) for gains in chain([first], tried))
+    gains, proof = next((each for each in found if each is not None), (first, None))
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
 

@@ -1,10 +1,10 @@
 """Gains of least cost for a controller that runs once in a sample time: its regulator and its Kalman filter.
 
-Both are of the mean of all cells, with the weights and densities of the goals in continuous time, so that a short
-sample gives nearly those gains. Which of them do, a proof decides.
+Both have the weights and densities of the goals in continuous time, so that a short sample gives nearly those gains:
+of the mean of all cells, or with a cost or covariance for all of them. Which of them do, a proof decides.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
@@ -16,6 +16,7 @@ from pwatrack.control.candidates import short
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.task import Task
+from pwatrack.lmi.clocked_gains import correction, feedback
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
@@ -26,29 +27,34 @@ def candidates(
 ) -> Iterator[SampledGains]:
     """Yield gains in the order in which they are tried: those made of K and L, with M, then K and M, of least cost.
 
-    Where a cost is the goal of K or M, that of least cost is the first; a gain that is given is made of nothing else.
+    These are of the mean of all cells first, then for all. Where a cost is the goal of K or M, that of least cost is
+    the first; a gain that is given is made of nothing else.
     """
-    found = dict[Role, Array]()
-    with np.errstate(all="ignore"):
-        for role, of_least_cost in ((CONTROLLER, regulator), (OBSERVER, kalman)):
-            if not isinstance(goals.get(role), Given | None):
-                gain = of_least_cost(Task.of(plant, role, sizes=sizes), goals[role], made.sample_time)
-                if gain is not None:
-                    found[role] = gain
-    costs = {role for role in found if isinstance(goals[role], LeastCost)}
-    seen = list[set[Role]]()
-    for taken in (costs, costs | {OBSERVER}, costs | {CONTROLLER, OBSERVER}):
-        if (kept := taken & found.keys()) not in seen:
-            seen.append(kept)
-            yield replace(
-                made,
-                K=found[CONTROLLER] if CONTROLLER in kept else made.K,
-                M=found[OBSERVER] if OBSERVER in kept else made.M,
-            )
+    goals = {role: goal for role, goal in goals.items() if not isinstance(goal, Given)}
+    costs = {role for role, goal in goals.items() if isinstance(goal, LeastCost)}
+    ways: dict[Role, Callable[..., Array | None]] = {CONTROLLER: regulator, OBSERVER: kalman}
+
+    def found(role: Role, *, for_all: bool) -> Array | None:
+        task = Task.of(plant, role, sizes=sizes)
+        return ways[role](task, goals[role], made.sample_time, for_all=for_all)
+
+    seen, best = list[set[Role]](), dict[Role, Array]()
+    for for_all in (False, True):
+        with np.errstate(all="ignore"):
+            each = {role: found(role, for_all=for_all) for role in goals}
+        best |= {role: gain for role, gain in each.items() if gain is not None}
+        for taken in (costs, costs | {OBSERVER}, costs | {CONTROLLER, OBSERVER}):
+            if (kept := taken & best.keys()) not in seen:
+                seen.append(kept)
+                K, M = (best[role] if role in kept else own for role, own in ((CONTROLLER, made.K), (OBSERVER, made.M)))
+                yield replace(made, K=K, M=M)
+        seen = [set()]  # those made of K and L
 
 
-def regulator(task: Task, goal: Goal, h: float) -> Array | None:
+def regulator(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array | None:
     """Return K of u_k = K x_k with the least ∫(xᵀ Q x + uᵀ R u) dt, u held for h (Van Loan 1978), or None.
+
+    It is that of the mean of all cells, or of a cost that is proved for all of them.
 
     Example: x' = u with short samples: the least ∫(x² + u²) dt has u = −x.
 
@@ -58,25 +64,35 @@ def regulator(task: Task, goal: Goal, h: float) -> Array | None:
     """
     A, B, Q, R = _weighed(task, goal)
     n, m = B.shape
-    whole = np.block([[A, B], [np.zeros((m, n + m))]])
+    whole = np.block([[A.mean(axis=0), B], [np.zeros((m, n + m))]])
     over, cost = _sampled(whole, np.block([[Q, np.zeros((n, m))], [np.zeros((m, n)), R]]), h)
-    A, B, Q, R, N = over[:n, :n], over[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:]
-    P = _least_cost(A, B, Q, R, N)
-    return None if P is None else short(np.asarray(-np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A + N.T)))
+    S = _least_cost(over[:n, :n], over[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])
+    if S is None:
+        return None
+    after = cost + over[:n].T @ S @ over[:n]
+    K = feedback(A, B, Q, R, period=h, near=after) if for_all else -np.linalg.solve(after[n:, n:], after[n:, :n])
+    return None if K is None else short(np.asarray(K))
 
 
-def kalman(task: Task, goal: Goal, h: float) -> Array | None:
+def kalman(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array | None:
     """Return M of x̂⁺ = x̂ + M (C x̂ − y) for noise of density Q on x' and of variance R / h in each sample; or None.
 
     Args:
         task: (9) transposed: its A are those of the observer transposed, its B is Cᵀ.
         goal: Of L.
         h: In s.
+        for_all: Whether the covariance is one that is proved for all cells, and not that of their mean.
     """
     A, B, Q, R = _weighed(task, goal)
-    A, Q = _sampled(A, Q, h)
-    P = _least_cost(A, B, Q, R / h, np.zeros_like(B))
-    return None if P is None else short(np.asarray(-np.linalg.solve(R / h + B.T @ P @ B, B.T @ P).T))
+    turned, noise = _sampled(A.mean(axis=0), Q, h)
+    P = _least_cost(turned, B, noise, R / h, np.zeros_like(B))
+    if P is None:
+        return None
+    if for_all:
+        M = correction(A.transpose(0, 2, 1), B.T, Q, R, period=h, near=P)
+    else:
+        M = np.asarray(-np.linalg.solve(R / h + B.T @ P @ B, B.T @ P).T)
+    return None if M is None else short(M)
 
 
 def _sampled(A: Array, Q: Array, h: float) -> tuple[Array, Array]:
@@ -93,8 +109,8 @@ def _least_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | Non
 
 
 def _weighed(task: Task, goal: Goal) -> tuple[Array, Array, Array, Array]:
-    """Return A and B of the mean cell with the rate that is asked for added, and the weights."""
-    A = task.A.mean(axis=0) + demands(goal)[0] * np.eye(task.A.shape[1])
+    """Return A, (v, n, n), and B of the corners of all cells with the rate that is asked for added, and the weights."""
+    A = task.A + demands(goal)[0] * np.eye(task.A.shape[1])
     if isinstance(goal, LeastCost):
         return A, task.B, goal.Q, goal.R
     return A, task.B, np.diag(task.scale.state**-2.0), np.diag(task.scale.input**-2.0)

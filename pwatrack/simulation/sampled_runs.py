@@ -184,11 +184,11 @@ def sampling_remarks(controller: ProvedController, conditions: Conditions) -> tu
     found = unstable_cell(controller, conditions)
     said = [] if found is None else [f"{found[0]}; so it is not simulated"]
     for claim in controller.claims_of(SampledLoop):
-        if claim.longest is not None:
-            h = claim.gains.sample_time
-            but = f"{h:g} s are too long for a proof: " if claim.proof is None and claim.longest < h else ""
+        h, longest = claim.gains.sample_time, claim.longest
+        if longest is not None and (claim.proof is None or longest > h):
+            but = f"{h:g} s are too long for a proof: " if claim.proof is None and longest < h else ""
             said.append(
-                f"{but}with other gains, made for it, a proof was found up to a sample time of {claim.longest:g} s; "
+                f"{but}with other gains, made for it, a proof was found up to a sample time of {longest:g} s; "
                 "it is not about these gains"
             )
     return tuple(said)

@@ -196,7 +196,7 @@ def _unknown_key(subject: Subject) -> str:
         return f"; '{key}' is for kind: {' or '.join(map(str, kinds))}"
     if places and key not in siblings:
         return f"; '{key}' belongs under {' or '.join(places[:3])}"
-    return guess(key, sorted(siblings)) or guess(key, sorted(_keys()))
+    return guess(key, sorted(siblings)) or guess(key, sorted(_keys() - {key}))
 
 
 def validation_problems(error: ValidationError, data: Any) -> list[Problem]:

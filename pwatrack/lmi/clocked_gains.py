@@ -1,0 +1,145 @@
+"""Gains of least cost of a loop that acts at ticks, for all cells: where those of a mean cell do not do.
+
+Noise of density G Gᵀ drives Δ' = A_j Δ, with A_j any in a hull, and at ticks C Δ is measured with a variance R / h. The
+inverse Σ⁻¹ of what is above the covariance of Δ before a tick is P_N of forms with
+
+    (P_{k+1} − P_k) / δ + F_iᵀ P_e + P_e F_i + P_e G Gᵀ P_e ⪯ 0,    Nᵀ (P_0 − P_N − X) N ⪯ 0
+
+for F = A, N = I and X = h Cᵀ R⁻¹ C; the one with the largest trace has M = −Σ Cᵀ (C Σ Cᵀ + R / h)⁻¹. Of inputs that are
+held, z = (e, ν) with e' = A_i e + B ν, ν' = 0, and ∫ zᵀ G Gᵀ z dt is at most zᵀ Y⁻¹ z after a tick, with Y = P_N of
+such forms for the transposed F, N = [I; 0] and X = 0, in backward time: the ν that makes it least is K e, K = V W⁻¹ for
+W, V the blocks of Y that e has with e, and ν with e.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pwatrack.arrays import Array
+from pwatrack.lmi.chain_map import Bound
+from pwatrack.lmi.clocked_forms import ClockedForms, Segment
+from pwatrack.lmi.frame import Frame
+
+_KNOTS = (4, 16)  # segments of a sample: more where none are found
+_MOST = 2_100  # unknowns: a step of the search takes a tenth of a second then
+_GAP = 1e-3  # share of the trace that may be missed
+_REST = 1e-4  # of what noise makes in a period: what flows are to leave beside
+_LEAST = 1e-6  # of what is optimal for the mean, at all
+_WORST = 4  # cells that are added for each end of a segment where some are not satisfied
+
+
+def correction(A: Array, C: Array, Q: Array, R: Array, *, period: float, near: Array) -> Array | None:
+    """Return M (n, q) of x̂⁺ = x̂ + M (C x̂ − y), predicted with any A_j in a hull (v, n, n); None where none is found.
+
+    Args:
+        A: In 1/s; a rate that is asked for is added to them.
+        C: (q, n).
+        Q: Density of noise on x', (n, n).
+        R: The same on y, (q, q).
+        period: h in s.
+        near: The covariance before a tick in the mean cell, (n, n).
+
+    Example: of one cell it is the Kalman filter, here P² = 1 in continuous time.
+
+        >>> one = np.eye(1)
+        >>> correction(np.zeros((1, 1, 1)), one, one, one, period=1e-3, near=one).round(5).tolist()
+        [[-0.001]]
+    """
+    P = _largest(A, _root(Q), None, period * C.T @ np.linalg.solve(R, C), near, period)
+    if P is None:
+        return None
+    across = np.linalg.solve(P, C.T)
+    return np.asarray(-np.linalg.solve(C @ across + R / period, across.T).T)
+
+
+def feedback(A: Array, B: Array, Q: Array, R: Array, *, period: float, near: Array) -> Array | None:
+    """Return K (m, n) of u = K x, held for a period, with any A_i, and weights of x and u; see `correction`.
+
+    `near` is the matrix of the cost after a tick in the mean cell, (n + m, n + m).
+
+    Example:
+        >>> one = np.eye(1)
+        >>> feedback(np.zeros((1, 1, 1)), one, one, one, period=1e-3, near=np.diag([1, 1e-3])).round(1).tolist()
+        [[-1.0]]
+    """
+    (n, m), cells = B.shape, len(A)
+    F, weight = np.zeros((cells, n + m, n + m)), np.zeros((n + m, n + m))
+    F[:, :n], weight[:n, :n], weight[n:, n:] = np.concatenate([A, [B] * cells], axis=2), Q, R
+    N = np.eye(n + m, n)
+    Y = _largest(F.transpose(0, 2, 1), _root(weight), N, np.zeros_like(weight), near, period)
+    return None if Y is None else np.asarray(np.linalg.solve(Y[:n, :n], Y[:n, n:]).T)
+
+
+def _largest(F: Array, G: Array, N: Array | None, X: Array, near: Array, period: float) -> Array | None:
+    """Return P_N of the forms with the largest trace where that of one cell, near⁻¹, is I; None without any."""
+    with suppress(np.linalg.LinAlgError):  # a form is not definite to working precision
+        at = Frame(np.asarray(np.linalg.inv(np.linalg.cholesky(near))))
+        X, eye = at.right(at.right(X[None])[0].T[None])[0], np.eye(len(near))
+        forms = Largest(
+            F=at.inside(F) * period,
+            G=at.left(G[None])[0] * np.sqrt(period),
+            N=eye if N is None else np.linalg.qr(at.left(N[None])[0])[0],
+            X=X,
+        )
+        for knots in _KNOTS:
+            if (P := forms.at(knots)) is not None:
+                return np.asarray(at.L.T @ P @ at.L)
+    return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Largest:
+    """The forms above that have the largest trace, with ticks 1 apart."""
+
+    F: Array  # (v, n, n)
+    G: Array  # (n, p)
+    N: Array  # (n, k)
+    X: Array  # (n, n)
+
+    def at(self, knots: int) -> Array | None:
+        """Return P_N, (n, n), of so many segments; None where there is none, or it takes too long."""
+        (v, n, _), eye = self.F.shape, np.eye(len(self.G))
+        U = np.zeros((v, n, 0))
+        clock = ClockedForms(
+            F=self.F,
+            U=U,
+            V=U.transpose(0, 2, 1),
+            J=eye[None],
+            R=eye,
+            parts=1,
+            knots=knots,
+            period=1.0,
+            sizes=np.ones(n),
+        )
+        if clock.unknowns > _MOST:
+            return None
+        fixed = [Bound({k: (-eye / 2, eye)}, _LEAST * eye) for k in range(clock.count)]
+        fixed.append(Bound({0: (self.N.T / 2, self.N), knots: (-self.N.T / 2, self.N)}, -self.N.T @ self.X @ self.N))
+        found = clock.of_few(
+            lambda _: clock.solved(fixed, partial(self._falls, clock), _GAP, -eye / n),
+            lambda found, segment: self._left(clock, found[0], segment),
+            _WORST,
+        )
+        return None if found is None else found[0][-1]
+
+    def _falls(self, clock: ClockedForms, segment: Segment, i: int) -> Bound:
+        """Return the inequality of a cell at an end of a segment, with a little to spare."""
+        (n, p), (_, _, e) = self.G.shape, segment
+        first, own = np.eye(n, n + p), np.eye(p, n + p, n)
+        push, nothing = np.sqrt(clock.step) * self.G.T, np.zeros((p, n))
+        flows = clock.falls(segment, i, np.eye(n)).terms
+        terms = {j: (np.vstack([L, push if j == e else nothing]), first) for j, (L, _) in flows.items()}
+        return Bound(terms, clock.step * _REST * first.T @ self.G @ self.G.T @ first - own.T @ own)
+
+    def _left(self, clock: ClockedForms, P: Array, segment: Segment) -> Array:
+        push = P[segment[2]] @ self.G
+        spent = push @ push.T - _LEAST * np.eye(len(push))
+        return np.asarray(clock.left(P, np.zeros((clock.count, 0)), segment) - clock.step * spent)
+
+
+def _root(Q: Array) -> Array:
+    """Return G with G Gᵀ = Q ⪰ 0."""
+    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
