@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -21,7 +22,7 @@ from pwatrack.report.files import write_result
 from pwatrack.report.plots.pictures import pictures
 from pwatrack.simulation.layout import Actuator
 from pwatrack.spec.spec import Steady
-from tests.scenarios import in_scenario
+from tests.scenarios import in_scenario, mass
 
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
 
@@ -379,6 +380,25 @@ def test_a_disturbance_leaves_no_more_error_than_its_bounds_say(paper_spec: Spec
     assert 1e-3 < np.abs(response.u - response.u_ff)[-500:].max() < most["input", 0]
     off = np.abs(response.x_hat - response.x)[-500:].max(axis=0)
     assert all(off[k] < most["estimate", k] for k in range(4))
+
+
+@pytest.mark.parametrize("method", ["corrected", "emulated"])
+@pytest.mark.parametrize(("limits", "quantum"), [((-0.31, 0.4), 0.04), ((-0.5, 0.333), 0.1), ((-0.3, 0.3), 0.1)])
+def test_an_input_with_steps_stays_within_its_limits(limits: tuple[float, float], quantum: float, method: str) -> None:
+    def starting(z: float, step: float = quantum) -> Spec:
+        more = f"quantum: {{u: {step}}}, actuator: {{limits: {{u: [{limits[0]}, {limits[1]}]}}}}, "
+        more += f"controller: {{sample_time: 0.02, method: {method}}}, initial: {{plant: [{z}, 0]}}"
+        return load_spec(yaml.safe_load(mass(simulation=f"{{duration: 4, sample_time: 0.02, {more}}}")))
+
+    for z in (-3, 3):
+        spec = starting(z)
+        u = simulate(spec).response.u[:, 0]
+        assert limits[0] - 1e-12 <= u.min() < u.max() <= limits[1] + 1e-12
+        assert np.abs(u / quantum - np.round(u / quantum)).max() < 1e-9
+        assert spec.scenario.conditions.limits is not None
+        assert (u.min(), u.max())[z < 0] == spec.scenario.conditions.limits[0, int(z < 0)]
+    with pytest.raises(InvalidSpec, match="at most one multiple of 20 is within"):
+        starting(0, 20.0)
 
 
 def test_every_fault_under_simulation_is_said_at_once_with_its_line(paper_spec: Spec, tmp_path: Path) -> None:

@@ -224,7 +224,8 @@ def test_what_is_left_of_limits_is_left_whatever_the_set_points_are() -> None:
     controller = design(spec)
     claim, said = controller.claim(SetPoints), dict(rows(spec.words, controller))
     assert (
-        said["set-points"] == "any y_d within its limits takes u from -12.1 to 32.1 N: leaves 7.899 N for what is off"
+        said["set-points"] == "any y_d within its limits takes u from -12.1 to 32.1 N: "
+        "beside it and the reference of the file 7.899 N is left"
     )
     found = figures(spec.words, controller)
     assert found["set_points"]["inputs"]["u"]["takes"] == claim.takes[0]

@@ -36,6 +36,24 @@ def made(folder: Path, output: str = SINE, *options: str, acts: str = "") -> Pat
     return folder / "runs" / "cart"
 
 
+def test_a_folder_without_a_design_says_why_and_another_plant_is_said_to_be_one(tmp_path: Path) -> None:
+    text = cart(SINE).replace("duration: 1", "actuator: {limits: {u: [5, 6]}}, duration: 1")
+    (tmp_path / "cart.yaml").write_text(text, encoding="utf-8")
+    folder = tmp_path / "refused"
+    assert call("design", tmp_path / "cart.yaml", "--out", folder).exit_code == 3
+    for said in (call("verify", folder), call("export", "c", folder, "--out", tmp_path / "c")):
+        assert said.exit_code == 2
+        assert "its run was refused (exit 3), so there is no c" in said.output
+        assert "the reference takes u = " in " ".join(said.output.split())
+    assert "so it is no folder of a run" in call("verify", tmp_path).output
+    run = made(tmp_path / "good")
+    specs = Path(__file__).parent.parent / "specs"
+    with pytest.raises(CheckFailed) as caught:
+        verify(run, specs / "two_mass_backlash.yaml")
+    assert "K and L are no gains of the plant of" in str(caught.value)
+    assert "ValueError" not in str(caught.value)
+
+
 def test_the_own_copy_comes_first_and_a_changed_file_of_its_name_is_a_remark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,19 @@ def seen(paths: list[Path]) -> list[int]:
     return [int(path.read_text()) for path in paths]
 
 
+ASKS = """
+import pwatrack
+from importlib import import_module
+from operator import attrgetter
+from pwatrack.batch.pool import Pool
+def where():
+    return import_module("pwatrack").__file__
+if __name__ == "__main__":
+    with Pool(1) as pool:
+        print(pwatrack.__file__, pool.submit(where).result())
+"""
+
+
 def test_what_a_task_returns_or_raises_comes_back() -> None:
     with Pool(2) as pool:
         futures = [pool.submit(divmod, k, 3) for k in range(20)]
@@ -113,3 +126,18 @@ def test_workers_end_with_their_owner_however_it_ends(tmp_path: Path, number: si
         time.sleep(0.01)
     assert not any(map(alive, pids))
     assert not (tmp_path / "pid2").exists()
+
+
+def test_what_works_is_this_package_and_not_one_in_the_working_directory(tmp_path: Path) -> None:
+    other = tmp_path / "pwatrack"
+    other.mkdir()
+    (other / "__init__.py").write_text("raise SystemExit('another one')")
+    script = tmp_path / "elsewhere" / "ask.py"
+    script.parent.mkdir()
+    script.write_text(ASKS)
+    said = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60
+    )
+    here, there = said.stdout.split()
+    assert here == there
+    assert Path(here) != other / "__init__.py"

@@ -92,6 +92,12 @@ def test_times_count_from_the_beginning_of_the_last_move(at: float) -> None:
     assert found.overshoot["y"] == 0
 
 
+def test_what_the_reference_itself_goes_beyond_its_end_is_no_overshoot() -> None:
+    polyline = np.interp(T, [0, 2, 5, 20], [0, 1.5, 1, 1])
+    assert figures(polyline, polyline).overshoot["y"] == 0
+    assert figures(polyline + 0.1 * np.exp(-((T - 2) ** 2)), polyline).overshoot["y"] == pytest.approx(0.1, abs=1e-3)
+
+
 def test_a_wave_settles_when_its_error_is_small_for_good_and_has_no_overshoot() -> None:
     wave = 3 * np.sin(2 * T)
     found = figures(wave + np.where(T < 4, 0.1, 0.05), wave)

@@ -198,7 +198,7 @@ def test_where_gains_of_the_mean_have_no_proof_those_for_all_cells_have_one(spec
     assert not audit(json.dumps(content))[1]
     (told,) = SampledLoop.read(content, controller, own)
     assert told.data(controller) == claim.data(controller)
-    assert not any("other gains" in one for one in sampling_remarks(controller, spec.scenario.conditions))
+    assert not any("other gains" in one for one in sampling_remarks(controller))
 
 
 FORGED: dict[str, Callable[[Any], Any]] = {
@@ -326,7 +326,7 @@ def test_the_longest_sample_time_is_proved_and_below_one_that_is_unstable(
     assert unstable is not None
     assert 0.2 * unstable < longest < unstable
     found = replace(controller, claims=(claim,))
-    (remark,) = sampling_remarks(found, Conditions(sampling=replace(sampling, sample_time=longest)))
+    (remark,) = sampling_remarks(found)
     assert f"up to a sample time of {longest:g} s" in remark
     assert remark.startswith("1.5 s are too long for a proof: ") == (h > longest)
 

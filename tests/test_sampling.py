@@ -200,7 +200,7 @@ def test_design_says_beforehand_that_a_cell_is_unstable_as_it_is_sampled(tmp_pat
     assert run.exit_code == 0, run.output
     said = "sampled every 1 s, the loop is unstable in cell 'bend off'"
     assert said in " ".join(run.output.split())
-    assert any(remark.startswith(said) for remark in index_of(tmp_path / "out")["remarks"])
+    assert any(remark.startswith(said) for remark in index_of(tmp_path / "out")["warnings"])
     assert said in " ".join(call("check", path).output.split())
     path.write_text(BENT.replace("TIME", "0.01"), encoding="utf-8")
     assert "unstable in cell" not in call("design", path, "--out", tmp_path / "out").output

@@ -109,7 +109,7 @@ def test_where_the_sampled_loop_is_bounded_that_is_what_is_said_in_the_end(tmp_p
     assert declared(spec, made)["noise", 0] == pytest.approx(0.0605)  # and half a step
     said = assessed(spec, made)
     assert said.ends == made.claim(SampledBounds).ends_below(made)
-    assert said.condition == "under noise, quantisation, disturbance"  # not with other parameters, or limits
+    assert said.condition == "under noise as drawn, quantisation, disturbance"  # not with other parameters, or limits
 
 
 def test_a_bound_under_noise_beyond_what_is_required_or_half_the_reference_is_warned_of(tmp_path: Path) -> None:
@@ -174,10 +174,13 @@ def test_an_input_that_rests_at_its_limit_is_warned_of(tmp_path: Path) -> None:
 
 
 def test_gains_too_fast_for_their_sampling_are_warned_of_unless_the_sampled_loop_is_proved(tmp_path: Path) -> None:
-    slow = "  controller: {sample_time: 0.1, method: emulated}\n"
+    slow = "  controller: {sample_time: 0.02, method: emulated}\n"
     spec = load_spec(stage(tmp_path, more=slow))
     said = assessed(spec, design(spec)).warnings
-    assert len([w for w in said if "every 0.1 s is slow" in w]) == 1  # one cause, one cure
+    assert len([w for w in said if "every 0.02 s is slow" in w]) == 1  # one cause, one cure
+    unstable = load_spec(stage(tmp_path, more=slow.replace("0.02", "0.1")))
+    (why,) = (w for w in assessed(unstable, design(unstable)).warnings if "sampled every" in w or "is slow" in w)
+    assert why.startswith("sampled every 0.1 s, the loop is unstable in cell")
     proved = load_spec(stage(tmp_path, more="  controller: {sample_time: 0.001}\n"))
     assert not any("sampl" in w for w in assessed(proved, design(proved)).warnings)
 

@@ -1,5 +1,6 @@
 """Members that start in a plane of two states, beside the regions that are proved there."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,10 +72,11 @@ def test_members_differ_in_two_states_from_the_reference_with_the_observer_on_th
 
 def test_from_inside_what_is_proved_every_member_gets_small_and_not_from_everywhere(many: EnsembleResult) -> None:
     off = np.column_stack([many.variation.values[name] for name in ("z", "v")]) - many.nominal.response.x_d[0, :2]
-    small = np.array([one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes])
+    small = np.array(many.small)
+    assert (small >= [one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes]).all()
     found = dict(sections(many.nominal.controller, [0, 1]))
-    assert list(found) == ["goes to 0, limits reached or not", "no limit is reached"]
-    inside = Outline(found["goes to 0, limits reached or not"]).contains_points(off)
+    assert list(found) == ["start forgotten, limits reached or not", "no limit is reached"]
+    inside = Outline(found["start forgotten, limits reached or not"]).contains_points(off)
     assert inside.sum() > 20
     assert small[inside].all()
     assert not small.all()
@@ -83,6 +85,17 @@ def test_from_inside_what_is_proved_every_member_gets_small_and_not_from_everywh
     assert never.any()
     assert most[never].max() <= 1
     assert not many.failed, "that some do not is what is to be seen"
+
+
+def test_a_member_that_ends_as_the_run_does_gets_small_and_none_does_of_a_run_that_does_not(
+    many: EnsembleResult,
+) -> None:
+    off = [replace(one, kind="off") for one in many.outcomes]
+    usual, settled = many.nominal.figures.final_error, replace(many, outcomes=tuple(off))
+    assert settled.small == [one.final_error <= 2 * usual for one in many.figures]
+    assert any(settled.small)
+    lost = replace(many.nominal, figures=replace(many.nominal.figures, largest_error=usual))
+    assert not any(replace(settled, nominal=lost).small)
 
 
 @given(angle=st.floats(0, 2 * np.pi))

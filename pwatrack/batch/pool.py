@@ -19,6 +19,7 @@ from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.reduction import ForkingPickler
@@ -37,6 +38,7 @@ _START = 60.0  # seconds that a new process has to import what its owner's main 
 _SAID = 65_536  # bytes that are kept of what a process says before it dies
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 _MEGABYTE = 2**20  # bytes
+_SAFE_PATH = "PYTHONSAFEPATH"  # of Python's environment
 
 
 class Lost(CheckFailed):
@@ -70,6 +72,20 @@ class _Worker:
     deadline: float | None = None
     reason: str = ""
     said: bytearray = field(default_factory=bytearray)
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let a Python that is started not look into the working directory: another `pwatrack` may be there."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 class Pool(Executor):
@@ -191,6 +207,8 @@ class Pool(Executor):
         worker.deadline = None if self._timeout is None else worker.begun + start + self._timeout
 
     def _start(self) -> _Worker:
+        with _safe_path():
+            forkserver.ensure_running()
         ours, theirs = self._context.Pipe()
         errors, said = self._context.Pipe(duplex=False)
         process = self._context.Process(target=serve, args=(theirs, said, self._memory, self._preload), daemon=True)

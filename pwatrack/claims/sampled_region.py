@@ -382,7 +382,8 @@ def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Ite
 
 def _beyond(controller: ProvedController, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
-    return nothing_left(room) or "x_d depends on estimates of loads" * (on_estimates(controller) is not None)
+    moved = on_estimates(controller) is not None
+    return nothing_left(room) or "x_d or u_ff depend on estimates that are no constants at inputs" * moved
 
 
 def _read(entry: Any) -> ClockedRegion:

@@ -90,8 +90,8 @@ class SetPoints(Claim):
         left = self._left
         if left is None:
             return ""  # another input may be beyond its limits
-        much = float(left[k])
-        return f": leaves {f'{down(much)} {unit}'.rstrip() if much else 'nothing'} for what is off"
+        much = f"{down(float(left[k]))} {unit}".rstrip() if left[k] else "nothing"
+        return f": beside it and the reference of the file {much} is left"
 
 
 def _outward(value: float, side: int) -> str:

@@ -18,7 +18,7 @@ from pwatrack.export.fmu import Model, Version, c_compiler, packed, write_fmu
 from pwatrack.export.fmu_models import controller_model, plant_model
 from pwatrack.export.notation import LANGUAGES, Numbers
 from pwatrack.export.reading import run
-from pwatrack.export.rounding import of_run
+from pwatrack.export.rounding import NOT_KNOWN, of_run
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
 from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
@@ -27,7 +27,7 @@ from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
 from pwatrack.report.controller import has_tables, starts, written
 from pwatrack.report.kept_spec import load, spec_of
-from pwatrack.report.run_folder import json_text, read_index
+from pwatrack.report.run_folder import json_text, lacking, read_index
 from pwatrack.report.screen import Findings
 from pwatrack.spec.load import load_spec
 from pwatrack.spec.spec import Spec
@@ -55,12 +55,12 @@ class Subject:
     def rounded(self, code: Source, kind: Literal["float32", "int32"]) -> Source:
         """Return code in numbers of a kind, with what their rounding makes of the bounds of its run.
 
-        Of single floats it says nothing where that is not proved. Raises InvalidSpec, OutsideTheory or CheckFailed if
+        Of single floats it says why where that is not proved. Raises InvalidSpec, OutsideTheory or CheckFailed if
         whole numbers have no spec at hand, or are not made, or not proved.
         """
         if self.spec is None or self.controller is None:
             if kind == "float32":
-                return code
+                return replace(code, rounding=_unknown("the spec is not at hand"))
             raise InvalidSpec("--int32 needs the ranges of all numbers in a run: export the spec, or its run folder")
         spec, h, end = self.spec, code.program.sampling.sample_time, self.controller.trajectory.exosystem.end
         t = h * np.arange(int(min(spec.scenario.duration, np.inf if end is None else end) / h) + 1)
@@ -70,9 +70,9 @@ class Subject:
             told = found.sentence(spec.words)
             if isinstance(found.numbers, FixedPoint):
                 self._check_runs(found.numbers)
-        except (OutsideTheory, CheckFailed):
+        except (OutsideTheory, CheckFailed) as refusal:
             if kind == "float32":
-                return code
+                return replace(code, rounding=_unknown(refusal.problems[0].message.removeprefix(NOT_KNOWN)))
             raise
         return replace(code, rounding=told, whole=found.numbers if isinstance(found.numbers, FixedPoint) else None)
 
@@ -113,6 +113,8 @@ class ExportTask:
         if self.parameters or self.sample_time is not None:
             message = f"{self.target}: --set and --sample-time go with a spec, not with a controller that is stored"
             raise InvalidSpec(message, hint="export the spec with them, or design with them and export that run")
+        if self.target.is_dir() and not (self.target / CONTROLLER).exists():
+            raise lacking(self.target, CONTROLLER)
         return self.target / CONTROLLER if self.target.is_dir() else self.target
 
 
@@ -202,6 +204,10 @@ def _outside(controller: ProvedController, file: ControllerFile, t: Any) -> Any:
         x_d = trajectory.x_d[0]  # the same in all cells, with its derivative
         return np.hstack([w @ x_d[:, :-1].T + x_d[:, -1], w @ (x_d[:, :-1] @ system.S).T])
     return np.hstack([w @ row.T for row in system.derivative_rows(count)])[:, :count]
+
+
+def _unknown(why: str) -> str:
+    return f"What single floats add to the bounds of its run is not proved: {why}."
 
 
 def _stored(path: Path, given: bool) -> Subject:

@@ -7,6 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from pwatrack.claims.bounds import BOUNDS
 from pwatrack.claims.cost import read_costs
 from pwatrack.claims.decay import read_proofs
@@ -29,7 +31,7 @@ from pwatrack.report.controller import known_start, written
 from pwatrack.report.figures import SIMULATED
 from pwatrack.report.files import gain_content, proved_content
 from pwatrack.report.kept_spec import load, spec_of
-from pwatrack.report.run_folder import INDEX, REFUSAL, json_text
+from pwatrack.report.run_folder import INDEX, REFUSAL, json_text, lacking
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.pipeline import asked
 from pwatrack.workflow.simplified import merged_spec
@@ -128,7 +130,10 @@ def _told_gains(content: dict[str, Any]) -> dict[str, Any]:
 def certificate_text(path: Path) -> tuple[Path, str]:
     """Return the certificate that a path is, or that is in the folder it is, and its text; a refusal, if only that."""
     if path.is_dir():
-        path = next((path / name for name in (CERTIFICATE, REFUSAL) if (path / name).is_file()), path / CERTIFICATE)
+        found = next((path / name for name in (CERTIFICATE, REFUSAL) if (path / name).exists()), None)
+        if found is None:
+            raise lacking(path, CERTIFICATE)
+        path = found
     return path, _read(path)
 
 
@@ -162,7 +167,11 @@ def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:
     yield from (f"{name} is not that of {spec.path}" for name, value in subject.items() if content[name] != value)
     if content["spec_sha256"] != asked.sha256:
         yield f"{spec.path} has other bytes than the spec it was made for"
-    gains = [doubles(content[letter]) for letter in "KL" if not impossible]
+    gains = [np.array(doubles(content[letter])) for letter in "KL" if not impossible]
+    (n, m), (q, N) = spec.problem.plant.B.shape, spec.problem.plant.observed.C.shape
+    if gains and [gain.shape for gain in gains] != [(m, n), (N, q)]:
+        yield f"K and L are no gains of the plant of {spec.path}"
+        return
     norms = dict(zip("KL", spec_sizes(spec).norms(*gains), strict=True)) if gains else {}
     for role, goal in spec.objectives.goals.items():
         part, letter = role.name, role.letter

@@ -42,8 +42,8 @@ _LESS = 1.001  # times that, what units have room for: for what rounding may add
 _MOST = 4096  # sets of planes that are looked at
 _CHANNEL: Channel = ("rounding", 0)
 _OVER = 1 + 1e-6  # more than the rounding of products and of bases
-_OTHER = "--float32 is written all the same, and says nothing of it"
-_REFUSED = "what rounding adds: "
+_OTHER = "--float32 is written all the same, and says that it is not known"
+NOT_KNOWN = "what rounding adds: "  # how refusals begin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +92,11 @@ class Rounding:
         tubes = {**known.tubes, **search.tubes(acts)}
         kicked = tuple(self._kicked(tube) for each in tubes.values() for tube in each)
         if not (kicked and off.keys() <= tubes.keys() | known.covered):
-            raise CheckFailed(f"{_REFUSED}no bound was found for what it leaves", hint=_OTHER)
+            raise CheckFailed(f"{NOT_KNOWN}no bound was found for what it leaves", hint=_OTHER)
         late, of = known.acts.late, self.controller.sizes
         each = self.predicted + self.corrected
         if late is not None and (each > late.clear * np.concatenate([of.state, of.load])).any():
-            raise CheckFailed(f"{_REFUSED}so much that it may begin in other cells, as inputs are late", hint=_OTHER)
+            raise CheckFailed(f"{NOT_KNOWN}so much that it may begin in other cells, as inputs are late", hint=_OTHER)
         squares, beside = {**known.acts.squares, _CHANNEL: np.ones(count)}, dict(known.acts.beside)
         for k, size in enumerate(off.values()):
             squares["input", k] = (np.sqrt(squares.get(("input", k), np.zeros(count))) + size) ** 2
@@ -228,7 +228,7 @@ class Rounding:
     def _check_room(self, ranges: ProgramRanges) -> None:
         for name, each in self._largest(ranges).items():
             if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
-                raise CheckFailed(f"{_REFUSED}{name} may get too large", hint=_OTHER)
+                raise CheckFailed(f"{NOT_KNOWN}{name} may get too large", hint=_OTHER)
 
 
 def largest(ranges: ProgramRanges, given: Array) -> dict[str, Array]:
@@ -266,7 +266,7 @@ def beside_cells(program: SampledController, off: Array) -> Array:
         count = min(len(planes), program.H.shape[1])
         chosen = [each for size in range(1, count + 1) for each in combinations(planes.tolist(), size)]
         if len(chosen) > _MOST:
-            raise CheckFailed(f"{_REFUSED}a cell has more than {_MOST:,} sets of planes")
+            raise CheckFailed(f"{NOT_KNOWN}a cell has more than {_MOST:,} sets of planes")
         for each in map(list, chosen):
             H = program.H[each]
             if np.linalg.matrix_rank(H) == len(each):
@@ -287,15 +287,15 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
     """
     program, ranges = code.program, next(iter(controller.claims_of(ProgramRanges)), None)
     if not program.sampling.corrects:
-        raise OutsideTheory(f"{_REFUSED}the program is emulated, and nothing is proved of it", hint=_OTHER)
+        raise OutsideTheory(f"{NOT_KNOWN}the program is emulated, and nothing is proved of it", hint=_OTHER)
     if len(program.pace):
-        raise OutsideTheory(f"{_REFUSED}set-points are not made in whole numbers", hint=_OTHER)
+        raise OutsideTheory(f"{NOT_KNOWN}it makes y_d of set-points, whose ranges are not known", hint=_OTHER)
     bounds = next(iter(controller.claims_of(SampledBounds)), None)
     if bounds is not None and bounds.errors.estimates is not None:
-        message = f"{_REFUSED}x_d depends on estimates of loads, and what that adds is not proved"
+        message = f"{NOT_KNOWN}x_d or u_ff depend on estimates that are no constants at inputs"
         raise OutsideTheory(message, hint=_OTHER)
     if ranges is None:
-        message = f"{_REFUSED}between what its numbers are is not proved: see 'sampled loop' of the design"
+        message = f"{NOT_KNOWN}between what its numbers are is not proved: see 'sampled loop' of the design"
         raise CheckFailed(message, hint=_OTHER)
     proved, started = runs(code.file), code.file.started
 

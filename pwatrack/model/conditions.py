@@ -11,6 +11,8 @@ from pwatrack.model.loads import Loads
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
+_ROUNDED = 1e-12  # of a number of steps: what rounding of a limit that is a whole number of them explains
+
 Method = Literal["corrected", "emulated", "euler"]
 
 
@@ -60,6 +62,21 @@ class Quanta:
         fine = np.where(self.outputs > 0, self.outputs, 1.0)
         return np.where(self.outputs > 0, fine * np.floor(y / fine + 0.5), y)
 
+    def within(self, limits: Array) -> Array:
+        """Return the lowest and the highest multiples within limits of inputs, (m, 2), or these; infinite ones stay.
+
+        Example:
+            >>> Quanta(inputs=np.array([0.4]), outputs=np.zeros(0)).within(np.array([[-3.1, 3.2]])).round(9).tolist()
+            [[-2.8, 3.2]]
+        """
+        step = np.where(self.inputs > 0, self.inputs, 1.0)[:, None]
+        count = limits / step
+        near = np.round(count)
+        inside = np.column_stack([np.ceil(count[:, 0]), np.floor(count[:, 1])])
+        with np.errstate(invalid="ignore"):  # of what has no limit
+            whole = np.where(np.abs(count - near) <= _ROUNDED * np.abs(count), near, inside)
+        return np.where((self.inputs > 0)[:, None] & np.isfinite(limits), step * whole, limits)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
@@ -70,7 +87,7 @@ class Conditions:
 
     plant: PWASystem | None = None  # the plant that runs, where its parameters are not those of the design
     parameters: Mapping[str, float] | None = None  # the parameters that are changed in it
-    limits: Array | None = None  # lower and upper limit of each input, (m, 2)
+    limits: Array | None = None  # lower and upper limit of each input, (m, 2); whole steps, where it has some
     disturbance: Exosystem | None = None  # signals added to ẋ, one per state
     noise: Noise | None = None
     sampling: Sampling | None = None  # where the controller is sampled

@@ -151,7 +151,8 @@ class ExponentialPolynomial(Ring):
         for rate, c in self.terms.items():
             degree = max((k for k in range(len(c)) if abs(c[k]) > 0), default=-1)
             if degree >= 0 and (rate.real > 0 or (rate.real == 0 and degree > 0)):
-                return f"a term like exp({rate.real:.4g}*t)" if rate.real > 0 else f"a term like t**{degree}"
+                power = "t" if degree == 1 else f"t**{degree}"
+                return f"a term like {f'exp({rate.real:.4g}*t)' if rate.real > 0 else power}"
         return ""
 
     def _line(self, function: str) -> tuple[float, float]:

@@ -110,8 +110,7 @@ def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:
 
 def design_remarks(spec: Spec, controller: ProvedController) -> list[str]:
     """Return what was noticed of a design and is no promise."""
-    of_run = sampling_remarks(controller, spec.scenario.conditions)
-    return [*controller.plant.remarks, *reference_remarks(spec, controller.form), *of_run]
+    return [*controller.plant.remarks, *reference_remarks(spec, controller.form), *sampling_remarks(controller)]
 
 
 def norm_unit(spec: Spec, names: Sequence[str]) -> str:

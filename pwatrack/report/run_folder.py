@@ -200,6 +200,16 @@ def read_index(path: str | Path) -> dict[str, Any] | None:
     return index if index.get("verdict") != INCOMPLETE and index else None
 
 
+def lacking(folder: Path, name: str) -> InvalidSpec:
+    """Return the refusal of a folder without a file that a run with a design has: why, where its index tells."""
+    match read_index(folder):
+        case {"exit": int(code), "reasons": [{"message": str(why)}, *_]}:
+            message = f"{folder}: its run was refused (exit {code}), so there is no {name}: {why}"
+            return InvalidSpec(message, subject=None, hint=f"{INDEX} there has all reasons")
+    message = f"{folder}: there is no {name}, so it is no folder of a run with a design"
+    return InvalidSpec(message, subject=None, hint="name one that 'design' or 'simulate' wrote")
+
+
 def stamp(path: Path) -> tuple[int, int] | None:
     """Return what tells one index of a folder from the next; None if there is none."""
     if (left := _LEFT.get()) is not None:

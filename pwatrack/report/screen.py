@@ -190,14 +190,16 @@ def _came_out(found: Findings) -> Iterator[Row]:
     if result is not None:
         how, outcome = _conditions(result), result.outcome
         error = f"{outcome.worst or outcome.final}{result.figures.seen(*ERRORS)}"
-        said = f"{_ENDS.get(outcome.kind)}, largest error {error} in the last tenth; {outcome.largest} at worst"
+        wished = [each.met for each in checked if "final_error" in each.requirement.figure]
+        ends = "is as required" if wished and all(wished) and outcome.kind == "off" else _ENDS.get(outcome.kind)
+        said = f"{ends}, largest error {error} in the last tenth; {outcome.largest} at worst"
         said += "; 'tracks': ≤ 1 % of reference or start" * (outcome.kind != "within its bound")
         yield "simulated", f"{how}: {said}" if outcome.kind in _ENDS else f"{outcome.text} ({how})"
     if many is not None:
         figures, unit = ensemble_measures(many), norm_unit(many.nominal.spec, many.nominal.controller.error_names)
-        ends = ", ".join(f"{count:,} {kind}" for kind, count in figures["outcomes"].items())
+        kinds = ", ".join(f"{count:,} {kind}" for kind, count in figures["outcomes"].items())
         worst = f"{figures['final_error']['worst']:.2e} {unit}".rstrip()
-        said = f"{figures['members']:,} members {many.variation.text}: {ends}; error at the end {worst} at worst"
+        said = f"{figures['members']:,} members {many.variation.text}: {kinds}; error at the end {worst} at worst"
         yield "ensemble", f"{said}, member {figures['final_error']['member']}"
     yield from found.not_looked_at
     if met := [each for each in checked if each.met]:

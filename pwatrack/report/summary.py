@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pwatrack.arrays import complex_text, number_text, up
+from pwatrack.arrays import amount, complex_text, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import rows
 from pwatrack.claims.sampled import SampledLoop
@@ -103,7 +103,8 @@ def print_result(console: Console, found: Findings) -> None:
         size, estimate = (f"{number_text(figure[what], '.6g')} {unit}".rstrip() for what in ("load", "estimate"))
         table.add_row("estimate", f"of {name} at the end: {estimate}, and {size} acts")
     _add(table, (("uncertain", text) for text in run_rows(result)))
-    table.add_row("modes", f"{figures['mode_changes']} changes, {figures['joint_modes']} joint modes")
+    counts = amount(figures["mode_changes"], "change"), amount(figures["joint_modes"], "joint mode")
+    table.add_row("modes", ", ".join(counts))
     _add(table, (("time in", text) for text in _share_texts(result.figures.time_share)))
     off = f"{figures['final_observer_error']:.2e} {norm_unit(result.spec, result.spec.problem.plant.states)}".rstrip()
     table.add_row("observer error", f"‖x − x̂‖ = {off} at the end")

@@ -48,7 +48,7 @@ class Figures:
     # how long each output takes from 10 % of h to 90 % of it, in s; infinite where it does not get there. Only where
     # the reference comes to rest, and h is not 0.
     rise_time: Mapping[str, float]
-    overshoot: Mapping[str, float]  # how far each output goes beyond y_∞, as a share of |h|. Likewise.
+    overshoot: Mapping[str, float]  # how far each output goes beyond y_∞ and y_d, as a share of |h|. Likewise.
     # how low and how high each input, and what has limits, gets, by name
     lowest: Mapping[str, float] = field(default_factory=dict)
     highest: Mapping[str, float] = field(default_factory=dict)
@@ -78,6 +78,8 @@ class Move:
     origin: float = 0.0  # y(t_s)
     high: float = -np.inf  # largest and smallest y since t_s
     low: float = np.inf
+    highest: float = -np.inf  # likewise of the reference
+    lowest: float = np.inf
     still_from: float = 0.0  # the reference has not changed since
     rests: bool = False  # for good
     settled: float = 0.0  # since when the output is within its band; infinite where it is not
@@ -98,10 +100,15 @@ class Move:
             k = int(begins[-1])
             self.start, self.origin = (float(t[k - 1]), float(y[k - 1])) if k else (t_0, y_0)
             self.high = self.low = self.origin
-            y = y[k:]
+            self.highest, self.lowest = -np.inf, np.inf
         if changes.any():
             self.still_from = float(t[changes][-1])
-        self.high, self.low = max(self.high, float(y.max())), min(self.low, float(y.min()))
+        last = int(begins[-1]) if len(begins) else 0
+        self.high, self.low = max(self.high, float(y[last:].max())), min(self.low, float(y[last:].min()))
+        self.highest, self.lowest = (
+            max(self.highest, float(y_d[last:].max())),
+            min(self.lowest, float(y_d[last:].min())),
+        )
         self._range = min(self._range[0], float(y_d.min())), max(self._range[1], float(y_d.max()))
         self._before, self._size = (float(t[-1]), float(y[-1]), float(y_d[-1]), bool(changes[-1])), float(size[-1])
 
@@ -125,8 +132,8 @@ class Move:
 
     @property
     def overshoot(self) -> float:
-        """How far the output goes beyond the rest, as a share of |h|; 0 where that is rounding."""
-        beyond = self.high - self.target if self.distance > 0 else self.target - self.low
+        """How far the output goes beyond the rest, or the reference, as a share of |h|; 0 where that is rounding."""
+        beyond = self.high - self.highest if self.distance > 0 else self.lowest - self.low
         return beyond / abs(self.distance) if beyond > _STILL * self._size else 0.0
 
     @property

@@ -179,41 +179,40 @@ class SampleMaps:
         return list(found.values())
 
 
-def sampling_remarks(controller: ProvedController, conditions: Conditions) -> tuple[str, ...]:
-    """Say beforehand that a simulation will be refused for its sample time, and which ones could be proved."""
-    found = unstable_cell(controller, conditions)
-    said = [] if found is None else [f"{found[0]}; so it is not simulated"]
+def sampling_remarks(controller: ProvedController) -> Iterator[str]:
+    """Say which sample times could be proved."""
     for claim in controller.claims_of(SampledLoop):
         h, longest = claim.gains.sample_time, claim.longest
         if longest is not None and (claim.proof is None or longest > h):
             but = f"{h:g} s are too long for a proof: " if claim.proof is None and longest < h else ""
-            said.append(
+            yield (
                 f"{but}with other gains, made for it, a proof was found up to a sample time of {longest:g} s; "
                 "it is not about these gains"
             )
-    return tuple(said)
 
 
-def check_sample_time(controller: ProvedController, conditions: Conditions) -> None:
-    """Refuse a sample time at which the loop is unstable in some cell, where no cell is at a shorter one.
+def refused(controller: ProvedController, conditions: Conditions) -> tuple[str, Remedy] | None:
+    """Say why a sample time is refused at which the loop is unstable in some cell, where none is at a shorter one.
 
-    Raises:
-        CheckFailed: With the cell, the spectral radius there, and a time at which runs die out if one is found.
+    Returned are the cell and the spectral radius there, and a time at which runs die out if one is found.
     """
     found = unstable_cell(controller, conditions)
     if found is None:
-        return
+        return None
     message, maps, longest = found
     offer = dying_out(maps, longest)
     if offer is None:
         message += f"; shorter times were tried down to {_tried(longest)[-1]:g} s, and with none do all "
-        message += "simulated runs from other starts die out"
-        remedy = Remedy(Way.SLOWER_GAINS)
-    else:
-        message += f"; at {longest:g} s no cell by itself is unstable, "
-        message += f"and at {offer[0]:g} s all of {offer[1]} simulated runs from other starts died out"
-        remedy = Remedy(Way.FASTER_SAMPLES, (offer[0],))
-    raise CheckFailed(message, subject=(ProblemPart.SAMPLE_TIME,), remedy=remedy)
+        return message + "simulated runs from other starts die out", Remedy(Way.SLOWER_GAINS)
+    message += f"; at {longest:g} s no cell by itself is unstable, "
+    message += f"and at {offer[0]:g} s all of {offer[1]} simulated runs from other starts died out"
+    return message, Remedy(Way.FASTER_SAMPLES, (offer[0],))
+
+
+def check_sample_time(controller: ProvedController, conditions: Conditions) -> None:
+    """Refuse a sample time; raises CheckFailed with why, see `refused`."""
+    if found := refused(controller, conditions):
+        raise CheckFailed(found[0], subject=(ProblemPart.SAMPLE_TIME,), remedy=found[1])
 
 
 def dying_out(maps: SampleMaps, longest: float) -> tuple[float, int] | None:

@@ -366,6 +366,7 @@ def build_conditions(
         running, changed = parametric.at(section.plant.parameters, ("simulation", "plant", "parameters"))
     if section.quantum:
         quanta = Quanta(inputs=_vector(section.quantum, plant.inputs), outputs=_vector(section.quantum, plant.outputs))
+        limits = None if limits is None else quanta.within(limits)
     if (sampled := section.controller) is not None:
         sampling = Sampling(
             sample_time=sampled.period, method=sampled.method, delay=sampled.delay, jitter=sampled.jitter

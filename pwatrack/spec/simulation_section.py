@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from pwatrack.errors import Subject
-from pwatrack.model.conditions import Method
+from pwatrack.model.conditions import Method, Quanta
 from pwatrack.spec.entries import (
     FormPair,
     Interval,
@@ -179,6 +180,12 @@ class SimulationSection(Section):
             if getattr(self, name) and self.controller is None:
                 text = f".{name} is about the values of a sampled controller, and there is none"
                 yield Fault(text, (), "for example controller: {sample_time: 0.001} under simulation", (name,))
+        for name, (low, high) in self.actuator.limits.items() if self.actuator else ():
+            size = self.quantum.get(name, 0.0)
+            whole = Quanta(inputs=np.array([size]), outputs=np.zeros(0)).within(np.array([[low, high]]))
+            if not whole[0, 1] > whole[0, 0]:
+                text = f": at most one multiple of {size:g} is within the limits of {name}, {low:g} to {high:g}"
+                yield Fault(text, ("quantum", name))
         if step > duration:
             yield Fault(f"sample_time {step:g} s is longer than the duration {duration:g} s", ("sample_time",))
         counted: list[tuple[Subject, float, int, str]] = [((), step, _MOST_SAMPLES, "samples")]

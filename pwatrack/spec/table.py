@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pwatrack.arrays import Array, readonly
+from pwatrack.arrays import Array, amount, readonly
 from pwatrack.errors import InvalidSpec, Subject
 from pwatrack.model.profile import Table, low_passed
 from pwatrack.model.signal import LARGEST
@@ -134,7 +134,7 @@ def _scales(scale: float | dict[str, float], time: str, column: str) -> Array:
 def _check(values: Array) -> None:
     t = values[:, 0]
     if len(values) < 4:
-        raise ValueError(f"{len(values)} rows, at least 4 are needed")
+        raise ValueError(f"{amount(len(values), 'row')}, at least 4 are needed")
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
         raise ValueError(f"row {int(np.argmin(finite)) + 2} is not finite")

@@ -25,6 +25,7 @@ from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.margins import Margins, loop_margins, worst
 from pwatrack.simulation.modes import modes
+from pwatrack.simulation.sampled_runs import refused
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared, tube_bounds
 from pwatrack.workflow.causes import of_designed, of_sampled, way
@@ -80,7 +81,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     conditions = spec.scenario.conditions
     known = next((claim for claim in tubes if claim.ends_below(controller)), None)
     if known is not None:
-        acts = {"noise": "noise", "quanta": "quantisation", "disturbance": "disturbance"}
+        acts = {"noise": "noise as drawn", "quanta": "quantisation", "disturbance": "disturbance"}
         said = [text for name, text in acts.items() if getattr(conditions, name) is not None]
         said += ["any parameters of the box"] * others
         ends, condition = known.ends_below(controller), f"under {', '.join(said)}" if said else ""
@@ -231,23 +232,26 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
             )
     if sampling is None or any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
         return
+    if found := refused(controller, spec.scenario.conditions):
+        yield f"{found[0]}; so it is not simulated"
+        return
     h, K = sampling.sample_time, controller.K
     made = sampled_gains(controller.plant, K, controller.L, sampling).K
     change = float(np.abs(made - K).max() / np.abs(K).max()) if K.any() and np.isfinite(made).all() else 0.0
     fast, late = (0.0, 0.0) if margins is None else (margins.crossover * h, (0.5 + sampling.delay) * h)
-    found = list[tuple[float, str]]()  # the time (s) that would do, and why this one is too long
+    slow = list[tuple[float, str]]()  # the time (s) that would do, and why this one is too long
     if quadratic and change > of_gains["K"] and not sampling.corrects:  # else its gains are made for the sample time
         said = f"K acts as if changed by {100 * change:.2g} %, proved for {100 * of_gains['K']:.2g} %"
-        found.append((h * of_gains["K"] / change, said))
+        slow.append((h * of_gains["K"] / change, said))
     if margins is not None and fast > _TENTH * 2 * np.pi:
         said = f"bandwidth {margins.crossover:.3g} rad/s, sampling {2 * np.pi / h:.3g} rad/s"
-        found.append((_TENTH * 2 * np.pi / margins.crossover, said))
+        slow.append((_TENTH * 2 * np.pi / margins.crossover, said))
     if margins is not None and margins.delay < late:
         where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
         said = f"late by {late:.2g} s, and {margins.delay:.2g} s is the delay margin {where}"
-        found.append((h * margins.delay / late, said))
-    if found:
-        short, said = min(found)
+        slow.append((h * margins.delay / late, said))
+    if slow:
+        short, said = min(slow)
         slower = "lower 'sizes' of inputs: a slower K"
         way = f"sample every {short:.1g} s, or {slower}" if short > _SHORT * h else f"{slower}; no sample time helps"
         yield f"every {number_text(h)} s is slow: {said}; {way}"

@@ -30,7 +30,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.late_start import late_start
 from pwatrack.simulation.propagate import sample_count, trace_blocks
-from pwatrack.simulation.sampled_runs import check_sample_time, sampling_remarks
+from pwatrack.simulation.sampled_runs import check_sample_time, refused, sampling_remarks
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_measured, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
@@ -219,15 +219,19 @@ def not_judged(spec: Spec) -> Iterator[str]:
     yield from _sampling_known(spec)
 
 
-def _sampling_known(spec: Spec) -> tuple[str, ...]:
+def _sampling_known(spec: Spec) -> Iterator[str]:
     """Say what sampling makes of the loop in each cell, or that it depends on K and L, if these are not given."""
     sampling, goals = spec.scenario.conditions.sampling, spec.objectives
     if sampling is None:
-        return ()
+        return
     if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
         with suppress(PwatrackError):  # `design` says what
-            return sampling_remarks(design(spec, growing=True), spec.scenario.conditions)
-    return (f"sampling every {sampling.sample_time:g} s is not judged here: 'design' does, with its gains",)
+            controller = design(spec, growing=True)
+            if found := refused(controller, spec.scenario.conditions):
+                yield f"{found[0]}; so it is not simulated"
+            yield from sampling_remarks(controller)
+            return
+    yield f"sampling every {sampling.sample_time:g} s is not judged here: 'design' does, with its gains"
 
 
 def simulate(

@@ -32,6 +32,7 @@ _MOST_KEPT = 250_000_000  # tracking errors: 2 GB
 _PARTS = 4  # of an ensemble for each worker: they need not take the same time
 _SPREAD = 0.05  # of the value of a parameter
 _POINTS = 400  # of the edge of a region
+_AS_SMALL = 2.0  # times what is left of the error in the run: a member that ends with less ends as the run does
 _BEYOND = 1.2  # of what is proved of starts: how far those in a plane go
 
 
@@ -71,6 +72,14 @@ class EnsembleResult:
         if self.variation.over == "plane":
             return ()
         return tuple(number for number, outcome in enumerate(self.outcomes) if outcome.code != ExitCode.DONE)
+
+    @property
+    def small(self) -> list[bool]:
+        """Of which members the error gets small: they are not off, or end as a run does that settles."""
+        run = self.nominal.figures
+        usual = _AS_SMALL * run.final_error if _AS_SMALL * run.final_error <= run.largest_error else 0.0
+        ends = zip(self.outcomes, self.figures, strict=True)
+        return [one.code == ExitCode.DONE and (one.kind != "off" or of.final_error <= usual) for one, of in ends]
 
     @property
     def failure(self) -> str:
@@ -278,7 +287,7 @@ def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tup
     reached: Sequence[LimitedRegion | SampledRegion] = controller.claims_of(SampledRegion)
     reached = reached or controller.claims_of(LimitedRegion)
     late = any(claim.late for claim in controller.claims_of(SampledRegion))  # of errors later than at the start
-    kinds = [("goes to 0, limits reached or not", one.left, one.found) for one in reached if not late]
+    kinds = [("start forgotten, limits reached or not", one.left, one.found) for one in reached if not late]
     kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
     for said, left, guarantees in kinds:
         found = (one.outline(left, plane, circle) for one in guarantees) if left is not None else ()

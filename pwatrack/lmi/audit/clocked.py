@@ -9,7 +9,7 @@ from .bounds import Loop
 from .boxes import squares
 from .matrices import AuditFault, Matrix, added, definite, product, times, transposed
 from .plant import AuditedPlant
-from .reading import matrix, number, packed
+from .reading import amount, matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, WHOLE, of
 from .ticks import AuditedErrors
 
@@ -35,8 +35,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     faults, flows = growing(errors, content, errors.ticks, rate), errors.opened(len(content["T"][0]))
     every = f"every {content['sample_time']} s"
     if errors.late:
-        every += f", inputs {content['delay']} samples late"
-    said = f"the sampled loop: {every}, {rate_said(content, content['jitter'])}, {len(flows)} flows"
+        every += f", inputs {amount(content['delay'], 'sample')} late"
+    said = f"the sampled loop: {every}, {rate_said(content, content['jitter'])}, {amount(len(flows), 'flow')}"
     return [f"the sampled loop: {fault}" for fault in faults], [f"{said} proved at {len(content['P'])} knots"]
 
 

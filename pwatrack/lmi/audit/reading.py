@@ -93,3 +93,8 @@ def packed(content: Any) -> tuple[Matrix, list[Fraction]]:
     powers = [Fraction(2) ** e for e in content["exponents"]]
     rows = zip(symmetric(content["integers"], "P or Q"), powers, strict=True)
     return [[v * a * b for v, b in zip(row, powers, strict=True)] for row, a in rows], powers
+
+
+def amount(count: int, what: str, several: str = "") -> str:
+    """Return how many of something there are."""
+    return f"{count} {what if count == 1 else several or what + 's'}"

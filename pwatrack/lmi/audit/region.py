@@ -9,7 +9,7 @@ from .balls import Ball, falls, outermost, stacked, zero
 from .bounds import Loop
 from .matrices import AuditFault, Matrix, definite, product
 from .polynomials import coefficients, exponents, polynomial, substituted
-from .reading import distinct, matrix, number, packed
+from .reading import amount, distinct, matrix, number, packed
 from .shape import PROOFS, ROWS
 from .starts import STARTS, around, bounded, held, kind_of, loop_of, starts_of
 
@@ -24,7 +24,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     distinct([[entry["of"]] for entry in found], "a region")
     faults = [f"region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(loop, entry)]
     every = any(entry["of"] == "every" for entry in found)
-    starts = "every start" if every else f"{len(found)} boxes of starts"
+    starts = "every start" if every else amount(len(found), "box of starts", "boxes of starts")
     return faults, [f"with inputs at their limits errors go to 0 from {starts}"] if found else []
 
 

@@ -6,7 +6,7 @@ from .bounds import Loop
 from .clocked import growing, predicted, rate_said
 from .corners import UncertainLoop
 from .matrices import AuditFault
-from .reading import number
+from .reading import amount, number
 from .shape import NUMBER, PACKED, ROWS, of
 from .ticks import AuditedErrors
 from .tubes import TUBES, Tubes, left
@@ -33,7 +33,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     errors = AuditedErrors(whole["sampled"], loop, predicted(whole), box.corners)
     wrong, flows = growing(errors, content, errors.ticks, rate), errors.opened(len(content["T"][0]))
     rated = rate_said(content, whole["sampled"]["jitter"])
-    said = f"the sampled loop for uncertain parameters: {rated}, {len(flows)} flows proved"
+    said = f"the sampled loop for uncertain parameters: {rated}, {amount(len(flows), 'flow')} proved"
     faults, more = [f"the sampled loop for uncertain parameters: {fault}" for fault in wrong], [said]
     if found:
         outside, claimed = left(found, Tubes(errors, []), " for uncertain parameters")

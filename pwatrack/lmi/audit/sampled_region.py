@@ -10,7 +10,7 @@ from .balls import Ball, stacked, unit, zero
 from .bounds import SIGNALS, Loop
 from .clocked import growing, predicted
 from .matrices import AuditFault, added, definite, identity
-from .reading import distinct, matrix, number, packed, place
+from .reading import amount, distinct, matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
 from .starts import held, kind_of, starts_of
 from .ticks import AuditedErrors
@@ -34,7 +34,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     each = (wrong(errors, entry) for entry in found)
     faults = [f"sampled region {k}: {fault}" for k, some in enumerate(each, 1) for fault in some]
     every = any(entry["of"] == "every" for entry in found)
-    starts = "every start" if every else f"{len(found)} boxes of starts"
+    starts = "every start" if every else amount(len(found), "box of starts", "boxes of starts")
     return faults, [f"with inputs at their limits errors of the sampled loop go to 0 from {starts}"]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from .balls import Ball, beyond, falls
 from .bounds import SIGNALS, Loop
 from .matrices import AuditFault, Matrix, added, definite, product, transposed
-from .reading import distinct, matrix, number, packed
+from .reading import amount, distinct, matrix, number, packed
 from .shape import NUMBER, PACKED, ROWS, TEXT, of
 
 OF_STATE = ("output", "state", "measured")  # signals of x - x_d alone
@@ -20,7 +20,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds of signals from all boxes of starts, and what they claim."""
     found = whole["limits"]
     faults = [f"starts {k}: {fault}" for k, entry in enumerate(found, 1) for fault in near(loop, entry)]
-    return faults, [f"the bounds of signals with limits from {len(found)} boxes of starts are proved"] if found else []
+    starts = amount(len(found), "box of starts", "boxes of starts")
+    return faults, [f"the bounds of signals with limits from {starts} are proved"] if found else []
 
 
 def near(loop: Loop, entry: Any) -> list[str]:

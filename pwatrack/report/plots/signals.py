@@ -122,7 +122,8 @@ def control_input(result: SimulatedLoop) -> Figure:
                 band(axes, response.t, middle - shown, middle + shown, "proved")
         return drawn
 
-    curves = [(response.u, said[0], ACTUAL), (response.u_ff, said[1], BEHIND)]
+    held = ACTUAL | ({"drawstyle": "steps-post"} if result.loop.conditions.sampling else {})
+    curves = [(response.u, said[0], held), (response.u_ff, said[1], BEHIND)]
     return _over_time(result, "Control input", names, curves, lines, ends=True)
 
 

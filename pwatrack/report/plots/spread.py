@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.pareto import Front
-from pwatrack.errors import ExitCode
 from pwatrack.report.figures import norm_unit
 from pwatrack.report.plots.canvas import (
     ACTUAL,
@@ -52,7 +51,7 @@ _COLOURS = {  # of verdicts
 _ROOM = 1.05  # of what is shown of a plane
 _SMALL: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": "0.45", "linewidths": 0.8}
 _OFF: dict[str, Any] = {"s": 16, "marker": "x", "color": "#a3195b", "linewidths": 0.9}
-_PROVED = {"goes to 0, limits reached or not": ACTUAL, "no limit is reached": BOUND}
+_PROVED = {"start forgotten, limits reached or not": ACTUAL, "no limit is reached": BOUND}
 
 
 def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
@@ -240,7 +239,7 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
     title = f"Starts in a plane, x̂ = x, all other errors 0: {len(many.outcomes):,} members, and what is proved"
     figure, (axes,) = canvas(result, title, [[0]], height=5.6)
     starts = np.column_stack([many.variation.values[name] for name in names]) - result.response.x_d[0, plane]
-    small = np.array([one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes])
+    small = np.array(many.small)
     for which, said, style in ((small, "gets small", _SMALL), (~small, "does not, in this run", _OFF)):
         if which.any():
             axes.scatter(starts[which, 0], starts[which, 1], label=said, **style)
