@@ -73,6 +73,11 @@ class Loads:
         return tuple(name for names in each for name in names)
 
     @property
+    def load_of(self) -> tuple[str, ...]:
+        """Of which load each entry of s is."""
+        return tuple(load.name for load in self.each for _ in range(load.order))
+
+    @property
     def where(self) -> tuple[int, ...]:
         """Which entry of s each load is."""
         return tuple(np.cumsum([0, *(load.order for load in self.each)])[:-1].tolist())

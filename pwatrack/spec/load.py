@@ -138,7 +138,7 @@ def _spec_of(
         overrides=overrides,
         problem=TrackingProblem(
             plant=plant,
-            units={name: unit for name, unit in file.system.units.items() if unit != "1"},  # 1 is no unit to be said
+            units=_units(file, plant),
             sizes=file.system.sizes,
             reference=reference,
             parametric=parametric,
@@ -149,6 +149,18 @@ def _spec_of(
         expected_exit=file.expect.exit if file.expect else 0,
         places=document.places,
     )
+
+
+def _units(file: SpecFile, plant: PWASystem) -> dict[str, str]:
+    """Return the units of all signals that have one: a load at each input has that of the input; 1 is not said."""
+    units = dict(file.system.units)
+    if plant.loads is not None:
+        if file.design.estimate == "input":
+            own = zip(plant.loads.names, plant.inputs, strict=True)
+            units |= {load: units[name] for load, name in own if name in units and load not in units}
+        each = zip(plant.loads.states, plant.loads.load_of, strict=True)
+        units |= {state: units[load] for state, load in each if load in units}
+    return {name: unit for name, unit in units.items() if unit != "1"}
 
 
 def _checked(document: Document, parameters: Mapping[str, float | str], form: type[_Form]) -> tuple[_Form, Context]:
