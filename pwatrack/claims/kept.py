@@ -89,8 +89,7 @@ class KeptLimits(Claim):
             if peak is None:
                 yield f"{said}: x_d takes too long to follow, so what the reference takes is not known"
                 continue
-            span = f"the reference takes {number_text(float(peak.low[k]), '.4g')} to "
-            span += f"{number_text(float(peak.high[k]), '.4g')} {unit}".rstrip() + idle
+            span = f"the reference takes {peak.span(k, unit)}{idle}"
             over = float(peak.left(signals.room.limits)[k])
             leaves = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit"
             if signals.acting and self.taken is not None:

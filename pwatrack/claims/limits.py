@@ -360,6 +360,5 @@ def _peak(peak: Peak, k: int) -> dict[str, list[float]]:
 
 
 def _range(peak: Peak, k: int, unit: str) -> str:
-    (first, last), low, high = peak.times[k].tolist(), float(peak.low[k]), float(peak.high[k])
-    ends = f"{number_text(low, '.4g')} to {number_text(high, '.4g')} {unit}".rstrip()
-    return f"{ends} (t = {first:.4g} s, {last:.4g} s)"
+    first, last = peak.times[k].tolist()
+    return f"{peak.span(k, unit)} (t = {first:.4g} s, {last:.4g} s)"

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.demand import Demand
@@ -24,6 +24,7 @@ from pwatrack.model.sizes import Sizes
 
 _LITTLE = 1e-3  # of a size: what any error may be at least
 OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.desired`
+_ROUNDING = 1e-12  # of the larger end: what is less is 0 where it is said
 _NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there, but for rounding
 
 
@@ -39,6 +40,13 @@ class Peak:
     low: Array
     high: Array
     times: Array
+
+    def span(self, k: int, unit: str) -> str:
+        """Say between what an input is; an end that is rounding beside the other is 0."""
+        low, high = float(self.low[k]), float(self.high[k])
+        rounding = _ROUNDING * max(abs(low), abs(high))
+        low, high = (v if abs(v) > rounding else 0.0 for v in (low, high))
+        return f"{number_text(low, '.4g')} to {number_text(high, '.4g')} {unit}".rstrip()
 
     def left(self, limits: Array) -> Array:
         """Return how far each input may be from its feedforward, (m,): the smaller side of its limits (m, 2).
