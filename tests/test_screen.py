@@ -205,6 +205,22 @@ def test_specs_of_the_repository_have_small_first_screens(specs: Path, tmp_path:
     assert any(line.startswith(("ideal loop  proved", "as sampled  proved")) for line in run.stdout.splitlines())
 
 
+def test_loads_that_are_smaller_than_they_count_are_a_way_to_more_phase_margin(specs: Path, tmp_path: Path) -> None:
+    text = (specs / "gallery" / "payload_in_wind.yaml").read_text(encoding="utf-8")
+    (tmp_path / "plant.yaml").write_text(text.replace("sizes: {wind: 2, fan: 1}", ""), encoding="utf-8")
+    phases = []
+    for sizes in ({}, {"wind": 4.29277, "fan": 3.08356}):  # a tenth of what they count else
+        spec = load_spec(tmp_path / "plant.yaml")
+        spec = replace(spec, problem=replace(spec.problem, sizes=sizes))
+        found = assessed(spec, design(spec))
+        (said,) = (warning for warning in found.warnings if "phase margin" in warning)
+        phases.append(np.degrees(min(each.phase for each in found.margins)))
+        if not sizes:
+            assert said.endswith("lower 'sizes' of loads: with 0.1 times these it would have 5.8°")
+    assert phases[0] < 1
+    assert phases[1] == pytest.approx(5.8, abs=0.1)
+
+
 IDEAL = "without sampling, limits, noise"
 
 

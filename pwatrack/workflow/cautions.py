@@ -5,6 +5,7 @@ design: only who knows the machine can say whether the file is right.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +18,13 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBoxBounds
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.controller import ProvedController
-from pwatrack.control.goal import AtLeast, Goal
+from pwatrack.control.goal import AtLeast, Given, Goal
 from pwatrack.control.sampled_gains import sampled_gains
+from pwatrack.control.synthesis import gain
+from pwatrack.control.task import Task
 from pwatrack.control.words import Words, sized
-from pwatrack.lmi.inequality import Role
+from pwatrack.errors import PwatrackError
+from pwatrack.lmi.inequality import OBSERVER, Role
 from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.margins import Margins, loop_margins, worst
@@ -45,6 +49,7 @@ _CHANGES = (  # of a gain, and what has it designed so
     ("L", 0.5, "raise 'sizes' of outputs"),
     ("L", 2.0, "lower 'sizes' of outputs"),
 )
+_OF_LOADS = (("lower", 0.1), ("raise", 10.0))  # times their sizes: what is tried where K and L help little
 _WORTH = 1.2  # times as much margin is worth a word
 
 
@@ -125,12 +130,29 @@ def _little_phase(controller: ProvedController, margins: Margins | None, goals: 
     most, better = max(found, default=(0.0, ""))
     if most < _WORTH * margins.phase:
         asked = any(isinstance(goal, AtLeast) and goal.rate for goal in goals.values())
-        others = ["a smaller 'rate'"] * asked + ["other 'sizes' of loads"] * (controller.plant.loads is not None)
-        better = f"halving or doubling K or L helps little: try {', '.join([*others, 'a sensor or actuator more'])}"
+        others = ["a smaller 'rate'"] * asked + ["a sensor or actuator more"]
+        better = _other_loads(controller, goals, _WORTH * margins.phase)
+        better = better or f"halving or doubling K or L helps little: try {', '.join(others)}"
     elif most < _LITTLE_PHASE:
         better += "; or try a 'rate' of each"
     where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
     yield f"phase margin {np.degrees(margins.phase):.3g}°, delay {margins.delay:.2g} s, {where}; {better}"
+
+
+def _other_loads(controller: ProvedController, goals: Mapping[Role, Goal], least: float) -> str:
+    """Say which other sizes of loads give an L with more phase margin than a least one (rad); "" if none does."""
+    sizes, found = controller.sizes, list[tuple[float, str]]()
+    if controller.plant.loads is None or isinstance(goals[OBSERVER], Given):
+        return ""
+    for change, factor in _OF_LOADS:
+        task = Task.of(controller.plant, OBSERVER, sizes=replace(sizes, load=factor * sizes.load))
+        with suppress(PwatrackError):
+            L = gain(task, goals[OBSERVER])[0].T
+            other = worst(loop_margins(replace(controller, design=replace(controller.design, L=L))))
+            if other is not None and other.phase > least:
+                text = f"{change} 'sizes' of loads: with {factor:g} times these it would have"
+                found.append((other.phase, f"{text} {np.degrees(other.phase):.2g}°"))
+    return max(found, default=(0.0, ""))[1]
 
 
 def _disturbed(
