@@ -47,7 +47,7 @@ def correction(A: Array, C: Array, Q: Array, R: Array, *, period: float, near: A
         >>> correction(np.zeros((1, 1, 1)), one, one, one, period=1e-3, near=one).round(5).tolist()
         [[-0.001]]
     """
-    P = _largest(A, _root(Q), None, period * C.T @ np.linalg.solve(R, C), near, period)
+    P = largest_form(A, _root(Q), None, period * C.T @ np.linalg.solve(R, C), near, period)
     if P is None:
         return None
     across = np.linalg.solve(P, C.T)
@@ -68,12 +68,20 @@ def feedback(A: Array, B: Array, Q: Array, R: Array, *, period: float, near: Arr
     F, weight = np.zeros((cells, n + m, n + m)), np.zeros((n + m, n + m))
     F[:, :n], weight[:n, :n], weight[n:, n:] = np.concatenate([A, [B] * cells], axis=2), Q, R
     N = np.eye(n + m, n)
-    Y = _largest(F.transpose(0, 2, 1), _root(weight), N, np.zeros_like(weight), near, period)
+    Y = largest_form(F.transpose(0, 2, 1), _root(weight), N, np.zeros_like(weight), near, period)
     return None if Y is None else np.asarray(np.linalg.solve(Y[:n, :n], Y[:n, n:]).T)
 
 
-def _largest(F: Array, G: Array, N: Array | None, X: Array, near: Array, period: float) -> Array | None:
-    """Return P_N of the forms with the largest trace where that of one cell, near⁻¹, is I; None without any."""
+def largest_form(F: Array, G: Array, N: Array | None, X: Array, near: Array, period: float) -> Array | None:
+    """Return P_N of the forms with the largest trace where that of one cell, near⁻¹, is I; None where none is found.
+
+    Args:
+        F: (v, n, n), in 1/s.
+        G: (n, p).
+        N: (n, k); None for I.
+        X, near: (n, n).
+        period: h in s.
+    """
     with suppress(np.linalg.LinAlgError):  # a form is not definite to working precision
         at = Frame(np.asarray(np.linalg.inv(np.linalg.cholesky(near))))
         X, eye = at.right(at.right(X[None])[0].T[None])[0], np.eye(len(near))
