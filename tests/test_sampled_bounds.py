@@ -152,6 +152,18 @@ def together(sampled: tuple[Spec, ProvedController]) -> ProvedController:
     return replace(controller, claims=tuple(joined if one is claim else one for one in controller.claims))
 
 
+def test_in_a_form_that_is_not_definite_to_working_precision_no_tube_is_found(
+    sampled: tuple[Spec, ProvedController],
+) -> None:
+    _, controller = sampled
+    claim, proof = the_bounds(controller), controller.claim(SampledLoop).proof
+    assert proof is not None
+    search = TubeSearch.of(controller, claim.forms, claim.errors, proof)
+    thin = np.diag(np.logspace(0, -400, len(search.program.near)))
+    found = replace(search, program=replace(search.program, near=thin)).tubes(claim.acts)
+    assert found.keys() < search.tubes(claim.acts).keys() or not found
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_channels_are_below_the_tube_that_they_have_together(seed: int, together: ProvedController) -> None:
     """For one switching each does its worst, and each has what share of d² makes the sum largest."""

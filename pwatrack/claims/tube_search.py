@@ -1,6 +1,7 @@
 """Looks for tubes of what acts on the errors of a sampled loop: see `lmi.clocked_tubes`."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -154,7 +155,9 @@ class TubeSearch:
         decay = rounded_down(share * self.program.most, 3)
         sizes = self.sizes if near is None else np.array(near.sizes)
         weights = self.counts / np.where(sizes, sizes, np.inf) ** 2
-        found = tube(self.program, drive, self.rows, weights, decay, summed=summed, near=near)
+        found = None
+        with suppress(np.linalg.LinAlgError, ZeroDivisionError):  # a form is not definite to working precision
+            found = tube(self.program, drive, self.rows, weights, decay, summed=summed, near=near)
         if found is None:
             return None
         sizes = np.array(found.sizes) / (decay if summed else 1.0)  # of 1 for good
