@@ -156,7 +156,7 @@ def course(given: Any, unit: str, time: str) -> Any:
 
 def apart(one: Gains, other: Gains, sizes: Sizes, units: Units) -> float:
     """Return by how much the gains of a design differ from those of the same in other units, both in sizes."""
-    names = list(sizes.by_name)
+    names = list(sizes.by_name)[: sum(map(len, (sizes.state, sizes.input, sizes.output)))]  # those of loads are behind
     old = np.array([units.value(name) for name in names])
     n, m = len(sizes.state), len(sizes.input)
     x, u, y = old[:n], old[n : n + m], old[n + m :]

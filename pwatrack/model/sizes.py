@@ -107,6 +107,7 @@ class Sizes:
     speed: float  # in 1/s: a state moves by about its size in 1 / speed
     origins: Mapping[str, Origin] = field(default_factory=dict)  # by name of the signal, where its size is from
     load: Array = field(default_factory=lambda: np.zeros(0))  # of states of loads, (p,)
+    where: tuple[int, ...] = ()  # which of these each load is
     tracked: Array = field(default_factory=lambda: np.zeros(0))  # of what is tracked, (p,)
 
     @classmethod
@@ -121,17 +122,19 @@ class Sizes:
         kinds = (plant.states, plant.inputs, plant.outputs)
         state, input_, output = ([known.get(name, (np.nan, "balanced"))[0] for name in names] for names in kinds)
         found = cls.balanced(plant.A, plant.B, plant.C, state=state, input_=input_, output=output, tempo=tempo)
-        names = [name for kind in kinds for name in kind]
+        loads = plant.loads
+        names = [name for kind in (*kinds, () if loads is None else loads.names) for name in kind]
         forms = np.linalg.norm(plant.tracked * found.state, axis=1)
         outputs = dict(zip(plant.outputs, found.output.tolist(), strict=True))
         tracked = [
             known[name][0] if name in known else outputs.get(name, size)
             for name, size in zip(plant.tracked_names, forms.tolist(), strict=True)
         ]
-        load = np.zeros(0) if plant.loads is None else plant.loads.sizes(found.state, found.speed, known)
+        load = np.zeros(0) if loads is None else loads.sizes(found.state, found.speed, known)
         return replace(
             found,
             load=load,
+            where=() if loads is None else loads.where,
             tracked=readonly(tracked),
             origins={name: known[name][1] if name in known else "balanced" for name in names},
         )
@@ -176,7 +179,7 @@ class Sizes:
     @property
     def by_name(self) -> dict[str, float]:
         """The size of each signal that has a name."""
-        sizes = np.concatenate([self.state, self.input, self.output]).tolist()
+        sizes = np.concatenate([self.state, self.input, self.output, self.load[list(self.where)]]).tolist()
         return dict(zip(self.origins, sizes, strict=True)) if self.origins else {}
 
     def gain(self, K: Array) -> Array:
@@ -200,5 +203,11 @@ class Sizes:
         """
         state = 1 / np.append(self.state, self.load)
         return replace(
-            self, state=state, input=self.speed / self.output, output=1 / self.input, load=np.zeros(0), origins={}
+            self,
+            state=state,
+            input=self.speed / self.output,
+            output=1 / self.input,
+            load=np.zeros(0),
+            where=(),
+            origins={},
         )
