@@ -441,7 +441,7 @@ def test_pictures_and_summary_name_the_conditions(paper_spec: Spec, paper: Resul
     for draw in pictures(result).values():
         title = draw().get_suptitle()
         assert all(
-            text in title.replace("\n", " ") for text in ("u limited to [-3, 4]", "noise of 0.01 on y", "0.01 s")
+            text in title.replace("\n", " ") for text in ("u limited to [-3, 4] N", "noise of 0.01 m on y", "0.01 s")
         )
 
 

@@ -351,7 +351,7 @@ def test_the_proofs_are_about_loads_that_are_estimated_and_not_about_others(tmp_
     controller = design(load_spec(write(tmp_path)))
     for simulation, beyond in cases.items():
         conditions = load_spec(write(tmp_path, simulation=simulation)).scenario.conditions
-        assert closed_loop(controller, conditions).beyond_the_proofs == beyond
+        assert closed_loop(controller, conditions).beyond_the_proofs() == beyond
 
 
 def test_a_load_at_each_input_is_short_for_its_column(tmp_path: Path) -> None:

@@ -234,9 +234,9 @@ def test_a_loop_whose_limits_are_too_tight_is_led_by_how_far_off_it_is(tmp_path:
     _, first, *_ = lines(run.stdout)
     how = "simulated 20 s, limits, disturbance: does NOT track, largest error"
     assert re.match(how + r" \S+ m in the last tenth; \S+ m at worst; ('tracks': ≤ 1 %|…)", first)
-    assert "NOT proved for u limited to [-0.1, 0.1]" in lines(run.stdout)
+    assert "NOT proved for u limited to [-0.1, 0.1] N" in lines(run.stdout)
     said = lines((tmp_path / "out" / "summary.txt").read_text(encoding="utf-8"))
-    assert "proofs are about the loop without: u limited to [-0.1, 0.1]; disturbance on dv/dt" in said
+    assert "proofs are about the loop without: u limited to [-0.1, 0.1] N; disturbance on dv/dt" in said
     assert index_of(tmp_path / "out")["simulation"]["outcome"] == "off"
 
 

@@ -96,8 +96,13 @@ class Conditions:
     pace: Array | None = None  # limits of the derivatives of y_d that a program makes of set-points, (tracked, 3 … 5)
     set_range: Array | None = None  # what these set-points may be, infinite where nothing is said, (tracked, 2)
 
-    def texts(self, plant: PWASystem) -> list[str]:
-        """Say what is not as the theorems assume, each in a few words; `plant` has the names."""
+    def texts(self, plant: PWASystem, units: Mapping[str, str] | None = None) -> list[str]:
+        """Say what is not as the theorems assume, each in a few words; `plant` has the names of signals."""
+
+        def of(name: str, text: str, per: str = "") -> str:
+            unit = (units or {}).get(name, "")
+            return f"{text} {unit}{per}" if unit else text
+
         said = []
         if self.parameters is not None:
             said.append(
@@ -105,7 +110,7 @@ class Conditions:
             )
         if self.limits is not None:
             said += [
-                f"{name} limited to {_range(low, high)}"
+                f"{name} limited to {of(name, _range(low, high))}"
                 for name, (low, high) in zip(plant.inputs, self.limits.tolist(), strict=True)
                 if np.isfinite([low, high]).any()
             ]
@@ -114,7 +119,7 @@ class Conditions:
             said.append("disturbance on " + ", ".join(f"d{name}/dt" for name in hit))
         if self.noise is not None:
             levels = zip(plant.outputs, self.noise.std.tolist(), strict=True)
-            said.append("noise of " + ", ".join(f"{std:g} on {name}" for name, std in levels if std))
+            said.append("noise of " + ", ".join(f"{of(name, f'{std:g}')} on {name}" for name, std in levels if std))
         if self.sampling is not None:
             late, jitter = self.sampling.delay, self.sampling.jitter
             text = f"controller sampled every {self.sampling.sample_time:g} s ({self.sampling.method})"
@@ -123,10 +128,10 @@ class Conditions:
         if self.quanta is not None:
             both = ((plant.outputs, self.quanta.outputs), (plant.inputs, self.quanta.inputs))
             sizes = [(name, size) for names, values in both for name, size in zip(names, values.tolist(), strict=True)]
-            said += [f"{name} in steps of {size:g}" for name, size in sizes if size]
+            said += [f"{name} in steps of {of(name, f'{size:g}')}" for name, size in sizes if size]
         if self.rates is not None:
             rates = zip(plant.inputs, self.rates.tolist(), strict=True)
-            said += [f"|d{name}/dt| at most {rate:g}" for name, rate in rates if np.isfinite(rate)]
+            said += [f"|d{name}/dt| at most {of(name, f'{rate:g}', '/s')}" for name, rate in rates if np.isfinite(rate)]
         return said
 
     def beside(self, loads: Loads | None) -> "Conditions":

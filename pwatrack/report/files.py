@@ -167,7 +167,7 @@ def _result_content(result: SimulatedLoop, proved: Mapping[str, Any]) -> dict[st
             "sampled": list(result.figures.sampled),
             "time_share": result.figures.time_share,
         },
-        "conditions": result.loop.conditions.texts(result.spec.problem.plant),
+        "conditions": result.loop.conditions.texts(result.spec.problem.plant, result.spec.problem.units),
         "remarks": list(result.remarks),
         "estimates": load_content(result),
         "tracked": {"sizes": sizes, "unit": norm_unit(result.spec, result.controller.error_names)},

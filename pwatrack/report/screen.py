@@ -245,7 +245,8 @@ def _beyond(found: Findings) -> Iterator[str]:
     boxes = controller.claims_of(SampledBox)
     for_all = any(claim.proof is not None for claim in boxes) if controller.claims_of(SampledLoop) else True
     if for_all and covered(spec.objectives.uncertain, conditions):
-        yield from (f"error to 0 for {changed}; to a bound only" for changed in conditions.texts(controller.plant))
+        box = conditions.texts(controller.plant, spec.problem.units)
+        yield from (f"error to 0 for {changed}; to a bound only" for changed in box)
         conditions = replace(conditions, plant=None, parameters=None)
     if _settles(spec, controller):
         conditions = replace(conditions, limits=None, rates=None)
@@ -253,7 +254,7 @@ def _beyond(found: Findings) -> Iterator[str]:
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
     if limited and replace(conditions, limits=None).nominal and spec.scenario.conditions.sampling is None:
         return
-    if said := conditions.texts(controller.plant):
+    if said := conditions.texts(controller.plant, spec.problem.units):
         yield f"for {'; '.join(said)}"
     if controller.trajectory.growth is not None:
         yield "that x_d is bounded and what was asked for: it is not"

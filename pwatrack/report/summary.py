@@ -90,7 +90,7 @@ def print_result(console: Console, found: Findings) -> None:
     result, figures = found.result, measures(found.result)
     table = titled(result.spec.name)
     _outcome_rows(table, found)
-    if conditions := result.loop.beyond_the_proofs:
+    if conditions := result.loop.beyond_the_proofs(result.spec.problem.units):
         sampled = any(claim.proof is not None for claim in result.controller.claims_of(SampledLoop))
         but = "; of these, the sampling is in the proof of the sampled loop" * sampled
         table.add_row("proofs", f"are about the loop without: {'; '.join(conditions)}{but}")

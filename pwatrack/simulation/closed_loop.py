@@ -1,5 +1,6 @@
 """Plant, observer, desired trajectory and exosystem as one flow."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,10 +104,9 @@ class ClosedLoop:
             rows[:, self.at.d] = loads.truth(disturbance.Q, disturbance.rates)
         return rows
 
-    @property
-    def beyond_the_proofs(self) -> list[str]:
-        """What the loop has that the proofs are not about, each in a few words; estimated loads are part of them."""
-        return self.conditions.beside(self.controller.plant.loads).texts(self.controller.plant)
+    def beyond_the_proofs(self, units: Mapping[str, str] | None = None) -> list[str]:
+        """Say what the loop has that the proofs are not about, each in a few words; estimated loads are in them."""
+        return self.conditions.beside(self.controller.plant.loads).texts(self.controller.plant, units)
 
     @property
     def tracking_error(self) -> Array:

@@ -212,7 +212,7 @@ class RunMonitor:
 
     def _practical(self, figures: Figures) -> Outcome | None:
         """Say that the error is below what it is proved to end below, where cells are merged and it is."""
-        controller, beyond = self._loop.controller, self._loop.beyond_the_proofs
+        controller, beyond = self._loop.controller, self._loop.beyond_the_proofs()
         practical = next(iter(controller.claims_of(Practical)), None)
         if practical is None:
             return None

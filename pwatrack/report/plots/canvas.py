@@ -55,7 +55,7 @@ def canvas(
     result: SimulatedLoop, title: str, mosaic: Any, *, height: float, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of a run and its panels in the order of their numbers in the mosaic."""
-    conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant))
+    conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant, result.spec.problem.units))
     parts = (result.spec.name, 90), (f"({conditions})" if conditions else "", 100), (title, 100)
     lines = [line for text, most in parts for line in textwrap.wrap(text, most)]
     return sheet(lines, mosaic, height=height, ratios=ratios)
