@@ -100,6 +100,7 @@ OF_OTHER_KINDS = {
     "carriage_on_slack_rope": 5e-4,  # the observer has more cells than the desired trajectory
     "flexible_arm": 1e-3,  # a desired trajectory that is played back
     "payload_without_sensor": 1e-3,  # loads that are estimated
+    "payload_in_wind": 3e-4,  # one of them a sinusoid, with a unit
 }
 
 

@@ -20,8 +20,9 @@ from pwatrack.report.files import write_result
 from pwatrack.report.plots.canvas import png
 from pwatrack.report.plots.elements import nonlinearities
 from pwatrack.report.plots.pictures import active_cells, pictures
-from pwatrack.report.plots.signals import observer_error
+from pwatrack.report.plots.signals import observer_error, outputs
 from pwatrack.report.plots.spread import fan
+from tests.scenarios import mass
 from tests.test_cli import call
 
 
@@ -121,6 +122,17 @@ def shared(one: BboxBase, other: BboxBase) -> float:
 
 
 @pytest.mark.slow
+def test_how_far_an_output_may_go_is_drawn_beyond_all_that_its_reference_is(tmp_path: Path) -> None:
+    line = "{polyline: {points: [[0, 0], [2, 1.5], [5, 1], [20, 1]], smooth: 0.5}}"
+    text = mass(reference=f"{{output: {line}}}", simulation="{duration: 20, sample_time: 0.01}")
+    text += "require: {overshoot: 10%}\n"
+    (tmp_path / "mass.yaml").write_text(text, encoding="utf-8")
+    result = simulate(load_spec(tmp_path / "mass.yaml"))
+    drawn = [each for axes in outputs(result).axes for each in axes.lines if each.get_label() == "required"]
+    (height,) = {float(np.asarray(each.get_ydata())[0]) for each in drawn}
+    assert height == pytest.approx(result.response.tracked_d.max() + 0.1, rel=1e-3)
+
+
 @pytest.mark.parametrize("spec", ["payload_in_wind", "three_tanks_pumps", "beam_one_sided_spring", "two_rooms"])
 def test_no_text_is_cut_or_on_another_and_no_inset_is_on_what_is_drawn(
     specs: Path, spec: str, monkeypatch: pytest.MonkeyPatch

@@ -1,4 +1,5 @@
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import pwatrack
 from pwatrack.batch.pool import Lost, Pool
 
 OWNER = """
@@ -52,15 +54,16 @@ def seen(paths: list[Path]) -> list[int]:
 
 
 ASKS = """
+import os
 import pwatrack
 from importlib import import_module
 from operator import attrgetter
 from pwatrack.batch.pool import Pool
 def where():
-    return import_module("pwatrack").__file__
+    return import_module("pwatrack").__file__ + " " + os.environ.get("PYTHONSAFEPATH", "-")
 if __name__ == "__main__":
     with Pool(1) as pool:
-        print(pwatrack.__file__, pool.submit(where).result())
+        print(pwatrack.__file__, pool.submit(where).result(), os.environ.get("PYTHONSAFEPATH", "-"))
 """
 
 
@@ -138,6 +141,16 @@ def test_what_works_is_this_package_and_not_one_in_the_working_directory(tmp_pat
     said = subprocess.run(
         [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60
     )
-    here, there = said.stdout.split()
+    here, there, inside, outside = said.stdout.split()
     assert here == there
     assert Path(here) != other / "__init__.py"
+    assert inside == outside == "-"
+
+
+def test_a_copy_that_is_found_in_the_working_directory_alone_works_with_itself(tmp_path: Path) -> None:
+    shutil.copytree(Path(pwatrack.__file__).parent, tmp_path / "pwatrack", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "ask.py").write_text(ASKS)
+    run = [sys.executable, "-m", "ask"]
+    said = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120)
+    here, there, *_ = said.stdout.split()
+    assert here == there == str(tmp_path / "pwatrack" / "__init__.py")

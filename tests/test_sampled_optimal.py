@@ -1,5 +1,6 @@
 """Gains of least cost in samples: against costs that are summed over a simulation, and covariances stepped to rest."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +9,32 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 
 from pwatrack import design, load_spec
 from pwatrack.arrays import Array
+from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.goal import AtLeast, Given, LeastCost
 from pwatrack.control.sampled_gains import sampled_gains
 from pwatrack.control.sampled_optimal import candidates, kalman, regulator
 from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.model.conditions import Sampling
+from pwatrack.report.certificate import design_certificate
+from pwatrack.workflow.pipeline import asked_of
 
+TWO = """
+name: Two stages
+system:
+  states: [x, v, z, w]
+  inputs: [u, f]
+  outputs: [y1, y2]
+  A: [[0, 1, 0, 0], [-2, -0.5, 0, 0], [0, 0, 0, 1], [0, 0, -3, -0.7]]
+  nonlinearities:
+    - {name: bumper, kind: dead_zone, of: x, lower: -0.1, upper: 0.1, slope: 3, into: {v: -1}}
+    - {name: stop, kind: dead_zone, of: z, lower: -0.1, upper: 0.1, slope: 4, into: {w: -1}}
+  B: [[0, 0], [1, 0], [0, 0], [0, 1]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+design: DESIGN
+reference: {output: {y1: 0.4*sin(0.8*t), y2: 0.3*sin(t)}}
+simulation: {duration: 20, sample_time: 0.01, MORE}
+"""
 A, B = np.array([[0.3, 1.0], [-2.0, -0.4]]), np.array([[0.2], [1.0]])
 Q, R = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[0.5]])
 FINE = 2000
@@ -63,6 +83,31 @@ def test_a_rate_that_is_asked_for_is_reached_in_the_mean() -> None:
     assert K is not None
     whole = expm(np.block([[A, B], [np.zeros((1, 3))]]) * 0.1)
     assert np.abs(np.linalg.eigvals(whole[:2, :2] + whole[:2, 2:] @ K)).max() < np.exp(-3.0 * 0.1)
+
+
+def test_what_is_rounding_of_plants_that_do_not_touch_is_no_gain_and_no_other_gain(tmp_path: Path) -> None:
+    """What processors round apart is entries that are 0: a certificate is read where these are others."""
+    cost = "{cost: {Q: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], R: [[1, 0], [0, 1]]}}"
+    text = TWO.replace("DESIGN", f"{{controller: {cost}, observer: {cost}}}")
+    (tmp_path / "two.yaml").write_text(text.replace("MORE", "controller: {sample_time: 0.05}"), encoding="utf-8")
+    spec = load_spec(tmp_path / "two.yaml")
+    controller = design(spec)
+    claim, own = controller.claim(SampledLoop), asked_of(spec, None, controller)
+    assert (claim.gains.K[0, 2:] == 0).all()
+    assert (claim.gains.K[1, :2] == 0).all()
+    assert (claim.gains.M[:2, 1] == 0).all()
+    off = replace(claim, gains=replace(claim.gains, K=claim.gains.K + 1e-15))
+    content = design_certificate(spec, replace(controller, claims=(off,)))
+    (told,) = SampledLoop.read(content, controller, own)
+    assert (told.gains.K == off.gains.K).all()
+
+
+def test_gains_that_were_tried_are_not_tried_again(specs: Path) -> None:
+    controller = design(load_spec(specs / "gallery" / "two_rooms.yaml"))
+    made = sampled_gains(controller.plant, controller.K, controller.L, Sampling(sample_time=70))
+    goals = {CONTROLLER: AtLeast(rate=1.0), OBSERVER: AtLeast(rate=1.0)}  # too fast for any gain for all cells
+    found = [(one.K.tobytes(), one.M.tobytes()) for one in candidates(controller.plant, controller.sizes, goals, made)]
+    assert len(found) == len(set(found)) >= 1
 
 
 def test_what_is_given_stays_and_what_has_a_cost_as_its_goal_comes_first(specs: Path) -> None:

@@ -16,6 +16,7 @@ from pwatrack.simulation.margins import loop_margins
 from pwatrack.workflow.bands import declared
 from pwatrack.workflow.cautions import assessed, plant_questions
 from tests.test_cli import call
+from tests.test_sampled_optimal import TWO
 
 STAGE = """
 name: Stage
@@ -219,6 +220,16 @@ def test_loads_that_are_smaller_than_they_count_are_a_way_to_more_phase_margin(s
             assert said.endswith("lower 'sizes' of loads: with 0.1 times these it would have 5.8°")
     assert phases[0] < 1
     assert phases[1] == pytest.approx(5.8, abs=0.1)
+
+
+def test_a_run_is_as_required_where_that_is_met_by_all_that_is_tracked(tmp_path: Path) -> None:
+    more = "disturbance: {w: {constant: 0.6}}"
+    wishes = {"{y1: 0.05}": "does NOT track", "{y1: 0.05, y2: 0.5}": "is as required", "5": "is as required"}
+    for wish, said in wishes.items():
+        text = TWO.replace("DESIGN", "{}").replace("MORE", more) + f"require: {{final_error: {wish}}}\n"
+        (tmp_path / "two.yaml").write_text(text, encoding="utf-8")
+        run = call("simulate", tmp_path / "two.yaml", "--plots", "none", "--out", tmp_path / "out")
+        assert f": {said}, largest error" in " ".join(run.stdout.split())
 
 
 IDEAL = "without sampling, limits, noise"

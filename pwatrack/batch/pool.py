@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -38,7 +38,8 @@ _START = 60.0  # seconds that a new process has to import what its owner's main 
 _SAID = 65_536  # bytes that are kept of what a process says before it dies
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 _MEGABYTE = 2**20  # bytes
-_SAFE_PATH = "PYTHONSAFEPATH"  # of Python's environment
+_PATHS = "PYTHONSAFEPATH", "PYTHONPATH"  # of the environment: where a Python looks for modules
+_STARTING = threading.Lock()  # held while a fork server is started in another environment
 
 
 class Lost(CheckFailed):
@@ -75,17 +76,28 @@ class _Worker:
 
 
 @contextmanager
-def _safe_path() -> Iterator[None]:
-    """Let a Python that is started not look into the working directory: another `pwatrack` may be there."""
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_SAFE_PATH]
-        else:
-            os.environ[_SAFE_PATH] = before
+def _this_package() -> Iterator[dict[str, str | None]]:
+    """Let a Python that is started find this package, and no other that the working directory may have.
+
+    Yielded is what its environment was.
+
+    A fork server looks for what it imports beforehand in its own path, and not in that of its owner.
+    """
+    with _STARTING:
+        before = {name: os.environ.get(name) for name in _PATHS}
+        path = [str(Path(__file__).parents[2]), *filter(None, [before["PYTHONPATH"]])]
+        os.environ.update({"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path)})
+        try:
+            yield before
+        finally:
+            _restore(before)
+
+
+def _restore(environment: Mapping[str, str | None]) -> None:
+    for name, value in environment.items():
+        os.environ.pop(name, None)
+        if value is not None:
+            os.environ[name] = value
 
 
 class Pool(Executor):
@@ -207,11 +219,12 @@ class Pool(Executor):
         worker.deadline = None if self._timeout is None else worker.begun + start + self._timeout
 
     def _start(self) -> _Worker:
-        with _safe_path():
+        with _this_package() as own:
             forkserver.ensure_running()
         ours, theirs = self._context.Pipe()
         errors, said = self._context.Pipe(duplex=False)
-        process = self._context.Process(target=serve, args=(theirs, said, self._memory, self._preload), daemon=True)
+        args = theirs, said, self._memory, self._preload, own
+        process = self._context.Process(target=serve, args=args, daemon=True)
         process.start()
         theirs.close()
         said.close()
@@ -309,15 +322,23 @@ def _hear(worker: _Worker) -> None:
             del worker.said[:-_SAID]
 
 
-def serve(tasks: Connection, errors: Connection, memory: float | None, preload: Sequence[str]) -> None:
+def serve(
+    tasks: Connection,
+    errors: Connection,
+    memory: float | None,
+    preload: Sequence[str],
+    environment: Mapping[str, str | None],
+) -> None:
     """Work off tasks: (function, arguments, named arguments) come, and (answer, whether it is one) go.
 
     A None goes at first, and as a task is taken.
 
     All that the process says on stderr goes to `errors`. A task may take so many megabytes beyond the program itself.
-    The modules of `preload` are there before the first task, also if the fork server was begun for another pool.
+    The modules of `preload` are there before the first task, also if the fork server was begun for another pool; what
+    it was begun in is not what its processes have: `environment` is put back.
     """
     _follow_parent()
+    _restore(environment)
     gc.freeze()  # what the fork server imported: its pages stay shared
     gc.set_threshold(100_000, 20)  # much of what a task makes stays until it ends
     gc.enable()

@@ -65,11 +65,12 @@ class ProgramRanges(Claim):
         """Yield of each number what it belongs to, its name, its unit and its ends, what is said first before."""
         plant, trajectory = controller.plant, controller.trajectory
         of = {"y": plant.outputs, "u": plant.inputs, "x_hat": plant.states, "x_d": plant.states, "u_ff": plant.inputs}
-        of |= {"eta_hat": trajectory.names, "s_hat": () if plant.loads is None else plant.loads.states}
+        loads = {} if plant.loads is None else dict(zip(plant.loads.states, plant.loads.load_of, strict=True))
+        of |= {"eta_hat": trajectory.names, "s_hat": tuple(loads)}
         for kind in (*_SAID, "x_d", "u_ff", "eta_hat", "w"):
             ends = self.ranges[kind]
             for k, (name, each) in enumerate(zip(of.get(kind, range(len(ends))), ends, strict=True)):
-                unit = words.units.get(str(name), "") if kind in of else ""
+                unit = words.units.get(loads.get(str(name), str(name)), "") if kind in of else ""
                 yield kind, f"w{k + 1}" if kind == "w" else str(name), unit, each
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from pwatrack.model.conditions import Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 
-_LAST_DIGIT = 1e-5  # of an entry of a gain, as a share
+_LAST_DIGIT = 1e-5  # of the largest entry of a gain, in sizes
 _NOT_FOUND = "no forms were found that prove it"
 
 
@@ -208,18 +208,16 @@ def _cheaper(controller: ProvedController, asked: Asked, gains: SampledGains) ->
     assert asked.sampled is not None
     of, goal = asked.sampled, asked.words.goals.get(CONTROLLER)
     sampling = Sampling(sample_time=of.sample_time, delay=of.delay, jitter=of.jitter)
-    begun = sampled_gains(controller.plant, controller.K, controller.L, sampling)
-
-    def own() -> Iterator[SampledGains]:
-        return _candidates(controller, asked, begun)
-
-    if any(_same(gains, each) for each in own()):
-        return None
+    own, sizes = list[SampledGains](), controller.sizes
+    for each in _candidates(controller, asked, sampled_gains(controller.plant, controller.K, controller.L, sampling)):
+        if _same(gains, each, sizes):
+            return None
+        own.append(each)
     sought = asked.room is not None and isinstance(goal, AtLeast)
-    made = any(_same(replace(gains, K=each.K), each) for each in own()) and sought
-    if not made and not any(_same(gains, each) for each in _candidates(controller, asked, of)):
+    made = sought and any(_same(replace(gains, K=each.K), each, sizes) for each in own)
+    if not made and not any(_same(gains, each, sizes) for each in _candidates(controller, asked, of)):
         raise ValueError("the gains of the sampled loop are not those of its certificate")
-    return next(own()).K if sought else None
+    return own[0].K if sought else None
 
 
 def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> SampledLoop:
@@ -235,11 +233,15 @@ def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> Samp
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
 
 
-def _same(one: SampledGains, other: SampledGains) -> bool:
-    """Say whether gains are for one sample time, and the same but for what processors round apart."""
-    pairs = (one.K, other.K), (one.M, other.M)
-    close = all(a.shape == b.shape and np.allclose(a, b, rtol=_LAST_DIGIT, atol=0.0) for a, b in pairs)
-    return (one.sample_time, one.delay, one.jitter) == (other.sample_time, other.delay, other.jitter) and close
+def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:
+    """Say whether gains are for one sample time, and the same in sizes but for what processors round apart."""
+    if (one.sample_time, one.delay, one.jitter) != (other.sample_time, other.delay, other.jitter):
+        return False
+    pairs = ((of.K, of.M) for of in (one, other))
+    if any(a.shape != b.shape for a, b in zip(*pairs, strict=True)):
+        return False
+    seen = ((sizes.gain(of.K), sizes.correction(of.M)) for of in (one, other))
+    return all(np.abs(a - b).max() <= _LAST_DIGIT * np.abs(b).max() for a, b in zip(*seen, strict=True))
 
 
 def _read_gains(told: Any) -> SampledGains:

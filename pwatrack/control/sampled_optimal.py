@@ -21,6 +21,9 @@ from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 
+_LITTLE = 1e-9  # of the mean weight of a cost, in sizes: what is added to each
+_ROUNDING = 1e-13  # of the largest entry of a gain, in sizes
+
 
 def candidates(
     plant: PWASystem, sizes: Sizes, goals: Mapping[Role, Goal], made: SampledGains
@@ -38,23 +41,23 @@ def candidates(
         task = Task.of(plant, role, sizes=sizes)
         return ways[role](task, goals[role], made.sample_time, for_all=for_all)
 
-    seen, best = list[set[Role]](), dict[Role, Array]()
+    seen, best = set[tuple[bytes, bytes]](), dict[Role, Array]()
     for for_all in (False, True):
         with np.errstate(all="ignore"):
             each = {role: found(role, for_all=for_all) for role in goals}
         best |= {role: gain for role, gain in each.items() if gain is not None}
         for taken in (costs, costs | {OBSERVER}, costs | {CONTROLLER, OBSERVER}):
-            if (kept := taken & best.keys()) not in seen:
-                seen.append(kept)
-                K, M = (best[role] if role in kept else own for role, own in ((CONTROLLER, made.K), (OBSERVER, made.M)))
+            own = ((CONTROLLER, made.K), (OBSERVER, made.M))
+            K, M = (best.get(role, gain) if role in taken else gain for role, gain in own)
+            if (key := (K.tobytes(), M.tobytes())) not in seen:
+                seen.add(key)
                 yield replace(made, K=K, M=M)
-        seen = [set()]  # those made of K and L
 
 
 def regulator(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array | None:
     """Return K of u_k = K x_k with the least ∫(xᵀ Q x + uᵀ R u) dt, u held for h (Van Loan 1978), or None.
 
-    It is that of the mean of all cells, or of a cost that is proved for all of them.
+    It is that of the mean of all cells, or with a cost that is a bound for all of them, whatever the switching.
 
     Example: x' = u with short samples: the least ∫(x² + u²) dt has u = −x.
 
@@ -70,8 +73,12 @@ def regulator(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Arr
     if S is None:
         return None
     after = cost + over[:n].T @ S @ over[:n]
-    K = feedback(A, B, Q, R, period=h, near=after) if for_all else -np.linalg.solve(after[n:, n:], after[n:, :n])
-    return None if K is None else short(np.asarray(K))
+    if for_all:
+        both = np.concatenate([task.scale.state, task.scale.input])
+        K = feedback(A, B, _definite(Q, task.scale.state), R, period=h, near=_definite(after, both))
+    else:
+        K = np.asarray(-np.linalg.solve(after[n:, n:], after[n:, :n]))
+    return None if K is None else _clean(K, task)
 
 
 def kalman(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array | None:
@@ -81,7 +88,7 @@ def kalman(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array 
         task: (9) transposed: its A are those of the observer transposed, its B is Cᵀ.
         goal: Of L.
         h: In s.
-        for_all: Whether the covariance is one that is proved for all cells, and not that of their mean.
+        for_all: Whether the covariance is a bound for all cells, whatever the switching, and not that of their mean.
     """
     A, B, Q, R = _weighed(task, goal)
     turned, noise = _sampled(A.mean(axis=0), Q, h)
@@ -89,10 +96,23 @@ def kalman(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array 
     if P is None:
         return None
     if for_all:
+        Q, P = (_definite(X, task.scale.state) for X in (Q, P))
         M = correction(A.transpose(0, 2, 1), B.T, Q, R, period=h, near=P)
     else:
         M = np.asarray(-np.linalg.solve(R / h + B.T @ P @ B, B.T @ P).T)
-    return None if M is None else short(M)
+    return None if M is None else _clean(M.T, task).T
+
+
+def _definite(X: Array, sizes: Array) -> Array:
+    """Return a matrix of a cost with a little more of each entry: of what it does not see it is 0."""
+    mean = float(np.mean(X.diagonal() * sizes**2))
+    return X + _LITTLE * mean * np.diag(sizes**-2.0)
+
+
+def _clean(K: Array, task: Task) -> Array:
+    """Return a gain with as many digits as it is printed with, and 0 for what is rounding beside its largest entry."""
+    size = np.abs(task.scale.gain(K))
+    return short(np.where(size > _ROUNDING * size.max(initial=0.0), K, 0.0))
 
 
 def _sampled(A: Array, Q: Array, h: float) -> tuple[Array, Array]:
@@ -109,7 +129,7 @@ def _least_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | Non
 
 
 def _weighed(task: Task, goal: Goal) -> tuple[Array, Array, Array, Array]:
-    """Return A, (v, n, n), and B of the corners of all cells with the rate that is asked for added, and the weights."""
+    """Return A, (v, n, n), and B of all cells with the rate that is asked for added, and the weights."""
     A = task.A + demands(goal)[0] * np.eye(task.A.shape[1])
     if isinstance(goal, LeastCost):
         return A, task.B, goal.Q, goal.R

@@ -18,6 +18,9 @@ import numpy as np
 from pwatrack.arrays import Array, IntArray
 from pwatrack.lmi.blocks import Blocks
 from pwatrack.lmi.linear_map import LinearMap, Triangle
+from pwatrack.lmi.normal import ChainNormal, Normal
+
+_CHAIN = 3  # matrices from which on it is quicker to eliminate one after the other
 
 Term = tuple[Array, Array]  # L (N, n) and R (n, N)
 
@@ -128,6 +131,12 @@ class ChainMap(LinearMap):
         np.add.at(found, self.which, np.einsum("bij,bpij->bp", Z[self.having], self.S))
         found[-1] = np.vdot(Z, self.T)
         return found
+
+    def factorized(self, H: Array, room: Array) -> Normal | ChainNormal:
+        """Return the normal equations, block by block where there are many, each with the next."""
+        ring = {(self.count - 1, 0), *((k, j) for k in range(self.count) for j in (k, k - 1))}
+        chained = self.count >= _CHAIN and {(k, j) for k, j, *_ in self.pairs} <= ring
+        return ChainNormal(H, self.places) if chained else Normal(H, room)
 
     def normal(self, w: Array, H: Array) -> None:
         """Write the lower triangle of H with v'ᵀ H v = Σ tr A_j(v) W_j A_j(v') W_j."""

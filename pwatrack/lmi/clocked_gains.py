@@ -39,9 +39,9 @@ def correction(A: Array, C: Array, Q: Array, R: Array, *, period: float, near: A
         Q: Density of noise on x', (n, n).
         R: The same on y, (q, q).
         period: h in s.
-        near: The covariance before a tick in the mean cell, (n, n).
+        near: The covariance before a tick in the mean cell, (n, n): the trace counts where it is I.
 
-    Example: of one cell it is the Kalman filter, here P² = 1 in continuous time.
+    Example: of one cell it is nearly the Kalman filter, for short samples; here P² = 1 in continuous time.
 
         >>> one = np.eye(1)
         >>> correction(np.zeros((1, 1, 1)), one, one, one, period=1e-3, near=one).round(5).tolist()

@@ -13,15 +13,13 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, lapack, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.lmi.blocks import Blocks, Scaling
 from pwatrack.lmi.inequality import Inequality
+from pwatrack.lmi.normal import ChainNormal, Normal
 from pwatrack.lmi.program import SemidefiniteProgram
-
-_RIDGES = (1e-15, 1e-13, 1e-11, 1e-9)  # of the diagonal of H, the first that will do; for m ≥ 2 it is singular along
-# P = 0, Y = Ω Bᵀ, Ω skew, and near the end to working precision
 
 
 class Side:
@@ -183,6 +181,10 @@ class LinearMap:
             result[self.main :] = -self.W.row(corner[: self.W.n, : self.W.n])
         return result
 
+    def factorized(self, H: Array, room: Array) -> Normal | ChainNormal:
+        """Return the normal equations, of which H has the lower triangle, factorized."""
+        return Normal(H, room)
+
     def step(self, scalings: Sequence[Scaling]) -> "Equations":
         """Return the equations of a step, factorized."""
         return Equations(self, scalings)
@@ -256,7 +258,7 @@ class Equations:
             np.matmul(scaling.E.transpose(0, 2, 1), scaling.E, out=W)
         H, room = linear.rooms
         self._corner = linear.normal(w, H)
-        self._normal = Normal(H, room)
+        self._normal = linear.factorized(H, room)
 
     def apply(self, v: Array) -> list[Array]:
         """Return the scaled left-hand sides, stack by stack."""
@@ -322,31 +324,6 @@ def _times(X: Array, E: Array | None) -> Array:
 
 def _back(X: Array, E: Array | None) -> Array:
     return X if E is None else np.asarray(X @ E.transpose(0, 2, 1))
-
-
-class Normal:
-    """H x = r for a positive semidefinite H, of which the lower triangle is read.
-
-    Raises LinAlgError if H is far from that, or not finite.
-    """
-
-    def __init__(self, H: Array, room: Array | None = None) -> None:
-        """Factorize H, in C order, in a room of its size."""
-        self._factor = np.empty_like(H) if room is None else room
-        diagonal = H.diagonal().copy()
-        if not np.isfinite(diagonal).all() or not diagonal.max() > 0:
-            raise np.linalg.LinAlgError("H is not finite, or 0")
-        for ridge in _RIDGES:
-            self._factor[:] = H
-            np.einsum("ii->i", self._factor)[:] = np.where(diagonal > 0, diagonal * (1 + ridge), 1.0)
-            _, fails = lapack.dpotrf(self._factor.T, lower=0, clean=0, overwrite_a=1)
-            if not fails:
-                return
-        raise np.linalg.LinAlgError("H is not positive semidefinite to working precision")
-
-    def solve(self, right: Array) -> Array:
-        """Return x."""
-        return np.asarray(lapack.dpotrs(self._factor.T, right, lower=0)[0])
 
 
 class DenseMap(LinearMap):

@@ -75,7 +75,7 @@ class Quanta:
         inside = np.column_stack([np.ceil(count[:, 0]), np.floor(count[:, 1])])
         with np.errstate(invalid="ignore"):  # of what has no limit
             whole = np.where(np.abs(count - near) <= _ROUNDED * np.abs(count), near, inside)
-        return np.where((self.inputs > 0)[:, None] & np.isfinite(limits), step * whole, limits)
+        return np.where((self.inputs > 0)[:, None] & np.isfinite(limits), step * whole, limits) + 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

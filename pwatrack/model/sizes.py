@@ -186,14 +186,17 @@ class Sizes:
         """Return the gain of u = K x (m, n) in sizes: by how many the inputs move for one of a state."""
         return np.asarray(K * self.state / self.input[:, None])
 
+    def correction(self, L: Array) -> Array:
+        """Return a gain of x' = L y, or of x̂⁺ = x̂ + M y, (n, q), in sizes."""
+        return np.asarray(L * self.output / np.append(self.state, self.load)[:, None])
+
     def norm(self, K: Array) -> float:
         """Return the spectral norm of a gain K (m, n) of the controller, counted in sizes."""
         return float(np.linalg.norm(self.gain(K), 2))
 
     def norms(self, K: Array, L: Array) -> tuple[float, float]:
         """Return how large the gains of u = K x (m, n) and of x' = L y (n, q) are: ‖E⁻¹ K S‖, and in 1/s ‖S⁻¹ L E‖."""
-        observer = L * self.output / np.append(self.state, self.load)[:, None]
-        return self.norm(K), float(np.linalg.norm(observer, 2))
+        return self.norm(K), float(np.linalg.norm(self.correction(L), 2))
 
     def dual(self) -> "Sizes":
         """Return those of the transposed plant, whose input matrix is Cᵀ and whose gain is Lᵀ.

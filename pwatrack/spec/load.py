@@ -154,12 +154,9 @@ def _spec_of(
 def _units(file: SpecFile, plant: PWASystem) -> dict[str, str]:
     """Return the units of all signals that have one: a load at each input has that of the input; 1 is not said."""
     units = dict(file.system.units)
-    if plant.loads is not None:
-        if file.design.estimate == "input":
-            own = zip(plant.loads.names, plant.inputs, strict=True)
-            units |= {load: units[name] for load, name in own if name in units and load not in units}
-        each = zip(plant.loads.states, plant.loads.load_of, strict=True)
-        units |= {state: units[load] for state, load in each if load in units}
+    if plant.loads is not None and file.design.estimate == "input":
+        own = zip(plant.loads.names, plant.inputs, strict=True)
+        units |= {load: units[name] for load, name in own if name in units and load not in units}
     return {name: unit for name, unit in units.items() if unit != "1"}
 
 

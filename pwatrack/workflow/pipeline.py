@@ -227,9 +227,8 @@ def _sampling_known(spec: Spec) -> Iterator[str]:
     if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
         with suppress(PwatrackError):  # `design` says what
             controller = design(spec, growing=True)
-            if found := refused(controller, spec.scenario.conditions):
-                yield f"{found[0]}; so it is not simulated"
-            yield from sampling_remarks(controller)
+            found, known = refused(controller, spec.scenario.conditions), list(sampling_remarks(controller))
+            yield from [f"{found[0]}; so it is not simulated", *known] if found else known
             return
     yield f"sampling every {sampling.sample_time:g} s is not judged here: 'design' does, with its gains"
 

@@ -280,7 +280,7 @@ def _step_lines(axes: Axes, result: SimulatedLoop, name: str, y: Array, y_d: Arr
             late = t >= move.start + limit
             axes.plot(t[late], (move.target if move.rests else y_d[late]) + edge + 0 * t[late], **REQUIRED)
     for limit in limits(result, "overshoot", name) if move.distance else ():
-        drawn.append(move.target + limit * move.distance)
+        drawn.append((move.highest if move.distance > 0 else move.lowest) + limit * move.distance)
         axes.plot([move.start, t[-1]], drawn[-1:] * 2, label="required", **REQUIRED)
     return drawn
 
