@@ -60,9 +60,7 @@ def test_a_formula_without_an_exact_exosystem_is_refused(text: str) -> None:
         formula(text, {})
 
 
-@pytest.mark.parametrize(
-    ("text", "term"), [("0.1*t", "t\\*\\*1"), ("exp(t/5)", "exp\\(0\\.2"), ("t*sin(t)", "t\\*\\*1")]
-)
+@pytest.mark.parametrize(("text", "term"), [("0.1*t", "t "), ("exp(t/5)", "exp\\(0\\.2"), ("t*sin(t)", "t ")])
 def test_a_reference_that_grows_is_refused_and_the_interval_named(text: str, term: str) -> None:
     with pytest.raises(OutsideTheory, match=f"y_d is not bounded: it has a term like {term}") as refusal:
         check_bounded(Signal.of(formula(text, {})), name="y_d", subject=())
