@@ -36,7 +36,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.rational import floats as floats_of
 from pwatrack.rational import fraction_of
 from pwatrack.report.certificate import design_certificate
-from pwatrack.simulation.sampled_runs import SampleMaps, sampling_remarks
+from pwatrack.simulation.sampled_runs import SampleMaps, refused, sampling_remarks
 from pwatrack.workflow.pipeline import asked_of
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
 
@@ -199,6 +199,24 @@ def test_where_gains_of_the_mean_have_no_proof_those_for_all_cells_have_one(spec
     (told,) = SampledLoop.read(content, controller, own)
     assert told.data(controller) == claim.data(controller)
     assert not any("other gains" in one for one in sampling_remarks(controller))
+
+
+def test_without_a_proof_it_runs_with_gains_that_are_stable_in_each_cell_if_there_are_some(specs: Path) -> None:
+    spec = load_spec(specs / "gallery" / "asymmetric_damper.yaml")
+    sampling = Sampling(sample_time=0.2)
+    spec = replace(spec, scenario=replace(spec.scenario, conditions=Conditions(sampling=sampling)))
+    controller = design(spec)
+    claim, own = controller.claim(SampledLoop), asked_of(spec, None, replace(controller, claims=()))
+    assert claim.proof is None
+    assert own.sampled is not None
+    stable = [refused(replace(controller, claims=(claim,)), spec.scenario.conditions) is None]
+    made = replace(claim, gains=own.sampled)
+    stable.append(refused(replace(controller, claims=(made,)), spec.scenario.conditions) is None)
+    assert stable == [True, False]
+    content = design_certificate(spec, controller)
+    (told,) = SampledLoop.read(content, controller, own)
+    assert (told.gains.K == claim.gains.K).all()
+    assert (told.gains.M == claim.gains.M).all()
 
 
 FORGED: dict[str, Callable[[Any], Any]] = {

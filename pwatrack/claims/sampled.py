@@ -1,6 +1,6 @@
 """What is proved of the program itself: a loop that is sampled, with inputs that are held, between its ticks too."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -20,7 +20,7 @@ from pwatrack.control.sampled_gains import SampledGains, sampled_gains
 from pwatrack.control.sampled_optimal import candidates
 from pwatrack.control.sampled_search import longest, too_much, with_forms
 from pwatrack.control.words import Words, down, matrix_text
-from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.clocked import ClockedProof, looked_for
 from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.pwa import PWASystem
@@ -99,8 +99,11 @@ class SampledLoop(SampledClaim):
             merged = bool(controller.claims_of(Practical))
             yield cls(gains=gains, proof=read_clocked(told), merged=merged, cheaper=cheaper)
         elif asked.sampled is not None:
-            gains = next(_candidates(controller, asked, asked.sampled))
-            yield cls(gains=gains, proof=None, missing=_beyond(controller, gains) or _NOT_FOUND)
+            tried = _candidates(controller, asked, asked.sampled)
+            gains = next(tried)
+            missing = _beyond(controller, gains)
+            gains = gains if missing else _steady(controller, [gains, *tried])
+            yield cls(gains=gains, proof=None, missing=missing or _NOT_FOUND)
 
     @property
     def runs_with(self) -> SampledGains:
@@ -221,16 +224,25 @@ def _cheaper(controller: ProvedController, asked: Asked, gains: SampledGains) ->
 
 
 def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> SampledLoop:
-    """Return a proof of the first gains that have one, with as many substeps as it needs; else the first, without."""
+    """Return a proof of the first gains that have one, with as many substeps as it needs; else some without."""
     first = next(tried)
     if missing := _beyond(controller, first):
         return SampledLoop(gains=first, proof=None, missing=missing)
     design = controller.plant, controller.design.K, controller.design.L, controller.sizes
     estimates = on_estimates(controller)
-    found = (with_forms(controller.plant, gains, estimates, controller.sizes) for gains in chain([first], tried))
-    gains, proof = next((each for each in found if each is not None), (first, None))
+    seen = list[SampledGains]()
+    for each in chain([first], tried):
+        seen.append(each)
+        if found := with_forms(controller.plant, each, estimates, controller.sizes):
+            break
+    gains, proof = found or (_steady(controller, seen), None)
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
+
+
+def _steady(controller: ProvedController, tried: Sequence[SampledGains]) -> SampledGains:
+    """Return the first gains with which errors fall in each cell, and each change of it, by itself; or the first."""
+    return next((each for each in tried if looked_for(errors_of(controller, each).clocked, 1).most > 0), tried[0])
 
 
 def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:
