@@ -39,6 +39,7 @@ from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.sampled_runs import SampleMaps, refused, sampling_remarks
 from pwatrack.workflow.pipeline import asked_of
 from tests.sampled import asking, form_at, kalman, regulator, running, with_sampled
+from tests.scenarios import mass
 
 LOADED = """
 name: mass on a spring, pushed by a load
@@ -201,10 +202,11 @@ def test_where_gains_of_the_mean_have_no_proof_those_for_all_cells_have_one(spec
     assert not any("other gains" in one for one in sampling_remarks(controller))
 
 
-def test_without_a_proof_it_runs_with_gains_that_are_stable_in_each_cell_if_there_are_some(specs: Path) -> None:
-    spec = load_spec(specs / "gallery" / "asymmetric_damper.yaml")
-    sampling = Sampling(sample_time=0.2)
-    spec = replace(spec, scenario=replace(spec.scenario, conditions=Conditions(sampling=sampling)))
+def test_without_a_proof_it_runs_with_gains_that_are_stable_in_each_cell_if_there_are_some(tmp_path: Path) -> None:
+    stops = "{name: stops, kind: dead_zone, of: z, lower: -0.05, upper: 0.05, slope: 20, into: {v: -1}}"
+    text = mass(stops, simulation="{duration: 1, sample_time: 0.1, controller: {sample_time: 0.3}}")
+    (tmp_path / "mass.yaml").write_text(text, encoding="utf-8")
+    spec = load_spec(tmp_path / "mass.yaml")
     controller = design(spec)
     claim, own = controller.claim(SampledLoop), asked_of(spec, None, replace(controller, claims=()))
     assert claim.proof is None
