@@ -30,6 +30,18 @@ def symmetric_part(X: Array) -> Array:
     return result
 
 
+def root_of(Q: Array) -> Array:
+    """Return X with Xᵀ X = Q ⪰ 0, (n, n).
+
+    Example:
+        >>> X = root_of(np.array([[2.0, 1.0], [1.0, 2.0]]))
+        >>> (X.T @ X).round(12).tolist()
+        [[2.0, 1.0], [1.0, 2.0]]
+    """
+    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+
+
 def balancing(A: Array) -> Array:
     """Return powers of two d (n,) such that the stack of D⁻¹ A_i D, D = diag(d), is balanced.
 

@@ -14,6 +14,24 @@ def in_scenario(spec: Spec, **changes: Any) -> Spec:
 STOP = "{name: stop, kind: spring, of: z, start: 1, slope: 0.3, into: {v: -1}}"
 
 
+TWO = """
+name: Two stages
+system:
+  states: [x, v, z, w]
+  inputs: [u, f]
+  outputs: [y1, y2]
+  A: [[0, 1, 0, 0], [-2, -0.5, 0, 0], [0, 0, 0, 1], [0, 0, -3, -0.7]]
+  nonlinearities:
+    - {name: bumper, kind: dead_zone, of: x, lower: -0.1, upper: 0.1, slope: 3, into: {v: -1}}
+    - {name: stop, kind: dead_zone, of: z, lower: -0.1, upper: 0.1, slope: 4, into: {w: -1}}
+  B: [[0, 0], [1, 0], [0, 0], [0, 1]]
+  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
+design: DESIGN
+reference: {output: {y1: 0.4*sin(0.8*t), y2: 0.3*sin(t)}}
+simulation: {duration: 20, sample_time: 0.01, MORE}
+"""
+
+
 def mass(
     *elements: str,
     head: str = "name: mass",

@@ -57,7 +57,6 @@ ASKS = """
 import os
 import pwatrack
 from importlib import import_module
-from operator import attrgetter
 from pwatrack.batch.pool import Pool
 def where():
     return import_module("pwatrack").__file__ + " " + os.environ.get("PYTHONSAFEPATH", "-")

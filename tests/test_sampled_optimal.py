@@ -18,23 +18,8 @@ from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.workflow.pipeline import asked_of
+from tests.scenarios import TWO
 
-TWO = """
-name: Two stages
-system:
-  states: [x, v, z, w]
-  inputs: [u, f]
-  outputs: [y1, y2]
-  A: [[0, 1, 0, 0], [-2, -0.5, 0, 0], [0, 0, 0, 1], [0, 0, -3, -0.7]]
-  nonlinearities:
-    - {name: bumper, kind: dead_zone, of: x, lower: -0.1, upper: 0.1, slope: 3, into: {v: -1}}
-    - {name: stop, kind: dead_zone, of: z, lower: -0.1, upper: 0.1, slope: 4, into: {w: -1}}
-  B: [[0, 0], [1, 0], [0, 0], [0, 1]]
-  C: [[1, 0, 0, 0], [0, 0, 1, 0]]
-design: DESIGN
-reference: {output: {y1: 0.4*sin(0.8*t), y2: 0.3*sin(t)}}
-simulation: {duration: 20, sample_time: 0.01, MORE}
-"""
 A, B = np.array([[0.3, 1.0], [-2.0, -0.4]]), np.array([[0.2], [1.0]])
 Q, R = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[0.5]])
 FINE = 2000

@@ -15,8 +15,8 @@ from pwatrack.report.screen import COLUMNS, LINES, Findings, first_rows, fitted,
 from pwatrack.simulation.margins import loop_margins
 from pwatrack.workflow.bands import declared
 from pwatrack.workflow.cautions import assessed, plant_questions
+from tests.scenarios import TWO
 from tests.test_cli import call
-from tests.test_sampled_optimal import TWO
 
 STAGE = """
 name: Stage

@@ -1,6 +1,6 @@
 """What is proved of the program itself: a loop that is sampled, with inputs that are held, between its ticks too."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -102,7 +102,7 @@ class SampledLoop(SampledClaim):
             tried = _candidates(controller, asked, asked.sampled)
             gains = next(tried)
             missing = _beyond(controller, gains)
-            gains = gains if missing else _steady(controller, [gains, *tried])
+            gains = gains if missing else _steady(controller, gains, tried)
             yield cls(gains=gains, proof=None, missing=missing or _NOT_FOUND)
 
     @property
@@ -235,14 +235,15 @@ def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> Samp
         seen.append(each)
         if found := with_forms(controller.plant, each, estimates, controller.sizes):
             break
-    gains, proof = found or (_steady(controller, seen), None)
+    gains, proof = found or (_steady(controller, first, seen[1:]), None)
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
 
 
-def _steady(controller: ProvedController, tried: Sequence[SampledGains]) -> SampledGains:
+def _steady(controller: ProvedController, first: SampledGains, others: Iterable[SampledGains]) -> SampledGains:
     """Return the first gains with which errors fall in each cell, and each change of it, by itself; or the first."""
-    return next((each for each in tried if looked_for(errors_of(controller, each).clocked, 1).most > 0), tried[0])
+    every = chain([first], others)
+    return next((each for each in every if looked_for(errors_of(controller, each).clocked, 1).most > 0), first)
 
 
 def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from pwatrack.arrays import EPS, Array
+from pwatrack.arrays import EPS, Array, root_of
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
 from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
@@ -60,7 +60,7 @@ class Candidates:
 
     def least_cost(self, Q: Array, R: Array) -> Iterator[Candidate]:
         """Yield the gain of the least sum of the costs from all states off by one size; Q, R in the units given."""
-        rows, e = _root(self.at.weights(Q)) @ self.at.inverse, self.at.e
+        rows, e = root_of(self.at.weights(Q)) @ self.at.inverse, self.at.e
         yield from self._least_cost(rows, e[:, None] * R * e, self.at.T, np.zeros_like(Q))
 
     def least_worst_cost(self, within: InputConstraint, rate: float) -> Iterator[Candidate]:
@@ -224,12 +224,6 @@ def _most(inequality: Inequality, factor: float) -> float:
     """Return a bound of Y in (8) for P ⪯ I: a multiple of ‖A‖ / ‖B‖."""
     size = np.linalg.norm(inequality.L, 2, axis=(1, 2)).max(initial=0.0)
     return factor * float(size) / max(float(np.linalg.norm(inequality.M[0], 2)), 1e-300)
-
-
-def _root(Q: Array) -> Array:
-    """Return X with Xᵀ X = Q ⪰ 0."""
-    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
-    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
 
 def _definite(P: Array) -> bool:

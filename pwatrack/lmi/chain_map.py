@@ -20,7 +20,7 @@ from pwatrack.lmi.blocks import Blocks
 from pwatrack.lmi.linear_map import LinearMap, Triangle
 from pwatrack.lmi.normal import ChainNormal, Normal
 
-_CHAIN = 3  # matrices from which on it is quicker to eliminate one after the other
+_CHAIN = 4, 360  # matrices, and entries of all, from which on it is quicker to eliminate one after the other
 
 Term = tuple[Array, Array]  # L (N, n) and R (n, N)
 
@@ -135,7 +135,8 @@ class ChainMap(LinearMap):
     def factorized(self, H: Array, room: Array) -> Normal | ChainNormal:
         """Return the normal equations, block by block where there are many, each with the next."""
         ring = {(self.count - 1, 0), *((k, j) for k in range(self.count) for j in (k, k - 1))}
-        chained = self.count >= _CHAIN and {(k, j) for k, j, *_ in self.pairs} <= ring
+        long = self.count >= _CHAIN[0] and self.first >= _CHAIN[1]
+        chained = long and {(k, j) for k, j, *_ in self.pairs} <= ring
         return ChainNormal(H, self.places) if chained else Normal(H, room)
 
     def normal(self, w: Array, H: Array) -> None:

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, root_of
 from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.frame import Frame
@@ -47,7 +47,7 @@ def correction(A: Array, C: Array, Q: Array, R: Array, *, period: float, near: A
         >>> correction(np.zeros((1, 1, 1)), one, one, one, period=1e-3, near=one).round(5).tolist()
         [[-0.001]]
     """
-    P = largest_form(A, _root(Q), None, period * C.T @ np.linalg.solve(R, C), near, period)
+    P = largest_form(A, root_of(Q).T, None, period * C.T @ np.linalg.solve(R, C), near, period)
     if P is None:
         return None
     across = np.linalg.solve(P, C.T)
@@ -68,7 +68,7 @@ def feedback(A: Array, B: Array, Q: Array, R: Array, *, period: float, near: Arr
     F, weight = np.zeros((cells, n + m, n + m)), np.zeros((n + m, n + m))
     F[:, :n], weight[:n, :n], weight[n:, n:] = np.concatenate([A, [B] * cells], axis=2), Q, R
     N = np.eye(n + m, n)
-    Y = largest_form(F.transpose(0, 2, 1), _root(weight), N, np.zeros_like(weight), near, period)
+    Y = largest_form(F.transpose(0, 2, 1), root_of(weight).T, N, np.zeros_like(weight), near, period)
     return None if Y is None else np.asarray(np.linalg.solve(Y[:n, :n], Y[:n, n:]).T)
 
 
@@ -145,9 +145,3 @@ class Largest:
         push = P[segment[2]] @ self.G
         spent = push @ push.T - _LEAST * np.eye(len(push))
         return np.asarray(clock.left(P, np.zeros((clock.count, 0)), segment) - clock.step * spent)
-
-
-def _root(Q: Array) -> Array:
-    """Return G with G Gᵀ = Q ⪰ 0."""
-    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

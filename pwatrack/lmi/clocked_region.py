@@ -28,7 +28,7 @@ from itertools import product
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, root_of
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves, short_diagonals
@@ -153,8 +153,7 @@ class SaturatedTicks:
         rows = rows / max(_longest(rows @ G), _SEEN * _longest(rows @ np.linalg.inv(L)))
         L = np.asarray(np.linalg.cholesky(L.T @ L + rows.T @ rows)).T
         inside, rows = clock.inside(Frame(L), rate), rows @ np.linalg.inv(L)
-        values, V = np.linalg.eigh(L @ G @ G.T @ L.T)
-        starts, eye, last = V * np.sqrt(np.maximum(values, 0.0)), np.eye(len(L)), clock.count - 1
+        starts, eye, last = root_of(L @ G @ G.T @ L.T).T, np.eye(len(L)), clock.count - 1
         less, nothing = (-eye / 2, eye), np.zeros_like(eye)
         fixed = [Bound({k: less}, nothing, _LEAST * eye) for k in range(clock.count)]
         fixed.append(Bound({last: (starts.T / 2, starts)}, nothing, -eye))

@@ -1,6 +1,6 @@
 """Normal equations H x = r of a step, factorized: as one matrix, or by what is 0 in it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import lapack
@@ -20,16 +20,14 @@ class Normal:
     def __init__(self, H: Array, room: Array | None = None) -> None:
         """Factorize H, in C order, in a room of its size."""
         self._factor = np.empty_like(H) if room is None else room
-        diagonal = H.diagonal().copy()
-        if not np.isfinite(diagonal).all() or not diagonal.max() > 0:
-            raise np.linalg.LinAlgError("H is not finite, or 0")
-        for ridge in _RIDGES:
-            self._factor[:] = H
-            np.einsum("ii->i", self._factor)[:] = np.where(diagonal > 0, diagonal * (1 + ridge), 1.0)
-            _, fails = lapack.dpotrf(self._factor.T, lower=0, clean=0, overwrite_a=1)
-            if not fails:
-                return
-        raise np.linalg.LinAlgError("H is not positive semidefinite to working precision")
+        _factorize(H, self._factorized)
+
+    def _factorized(self, H: Array, ridge: float) -> bool:
+        """Say whether it is with so much added to its diagonal."""
+        self._factor[:] = H
+        _add_ridge(self._factor, ridge)
+        _, fails = lapack.dpotrf(self._factor.T, lower=0, clean=0, overwrite_a=1)
+        return not fails
 
     def solve(self, right: Array) -> Array:
         """Return x."""
@@ -52,11 +50,7 @@ class ChainNormal:
     def __init__(self, H: Array, places: Sequence[slice]) -> None:
         """Factorize H, of which the lower triangle is read; raises as `Normal`."""
         self._places, self._rest = places, slice(places[-1].stop, len(H))
-        diagonal = H.diagonal()
-        if not np.isfinite(diagonal).all() or not diagonal.max() > 0:
-            raise np.linalg.LinAlgError("H is not finite, or 0")
-        if not any(self._factorized(H, ridge) for ridge in _RIDGES):
-            raise np.linalg.LinAlgError("H is not positive semidefinite to working precision")
+        _factorize(H, self._factorized)
 
     def _factorized(self, H: Array, ridge: float) -> bool:
         """Say whether it is with so much added to its diagonal; keep what blocks are, and below them."""
@@ -66,8 +60,7 @@ class ChainNormal:
         end, ring = H[rest, rest].copy(), H[places[last], places[0]].copy()
         self._own, self._below = list[Array](), list[Array]()
         for X in (*own, end):
-            some = np.einsum("ii->i", X)
-            some[:] = np.where(some > 0, some * (1 + ridge), 1.0)
+            _add_ridge(X, ridge)
         for k, place in enumerate(places):
             parts = [behind[k]] if k == last else [H[places[k + 1], place], behind[k]]
             if k < last - 1:  # the last block has entries with all that were eliminated
@@ -118,3 +111,18 @@ class ChainNormal:
                 self._own[k], x[self._places[k]] - self._below[k].T @ known, lower=0, trans=0
             )[0]
         return x
+
+
+def _factorize(H: Array, factorized: Callable[[Array, float], bool]) -> None:
+    """Factorize H with the first ridge that does; raises LinAlgError where none does, or H is not finite."""
+    diagonal = H.diagonal()
+    if not np.isfinite(diagonal).all() or not diagonal.max() > 0:
+        raise np.linalg.LinAlgError("H is not finite, or 0")
+    if not any(factorized(H, ridge) for ridge in _RIDGES):
+        raise np.linalg.LinAlgError("H is not positive semidefinite to working precision")
+
+
+def _add_ridge(X: Array, ridge: float) -> None:
+    """Add a share of its diagonal to a matrix, and 1 where that is 0."""
+    diagonal = np.einsum("ii->i", X)
+    diagonal[:] = np.where(diagonal > 0, diagonal * (1 + ridge), 1.0)

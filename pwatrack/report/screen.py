@@ -146,7 +146,7 @@ def _verdict(found: Findings, *, whole: bool) -> str:
     without = f"; without {absent}" * bool(absent)
     if ended in ("grows", "above its bound"):
         return f"NOT READY: {ended}{without}"
-    if ended == "off" and not any("final_error" in each.requirement.figure for each in checked):
+    if ended == "off" and not _as_required(found):
         return f"NOT READY: error above 1 %{without}"
     ended = "as required" if ended == "off" else ended
     if assessment.warnings:

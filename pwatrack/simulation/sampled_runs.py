@@ -209,6 +209,11 @@ def refused(controller: ProvedController, conditions: Conditions) -> tuple[str, 
     return message, Remedy(Way.FASTER_SAMPLES, (offer[0],))
 
 
+def not_simulated(why: str) -> str:
+    """Say before a run what a refused sample time means for it."""
+    return f"{why}; so it is not simulated"
+
+
 def check_sample_time(controller: ProvedController, conditions: Conditions) -> None:
     """Refuse a sample time; raises CheckFailed with why, see `refused`."""
     if found := refused(controller, conditions):

@@ -29,7 +29,7 @@ from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem
 from pwatrack.simulation.margins import Margins, loop_margins, worst
 from pwatrack.simulation.modes import modes
-from pwatrack.simulation.sampled_runs import refused
+from pwatrack.simulation.sampled_runs import not_simulated, refused
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared, tube_bounds
 from pwatrack.workflow.causes import of_designed, of_sampled, way
@@ -255,7 +255,7 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
     if sampling is None or any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
         return
     if found := refused(controller, spec.scenario.conditions):
-        yield f"{found[0]}; so it is not simulated"
+        yield not_simulated(found[0])
         return
     h, K = sampling.sample_time, controller.K
     made = sampled_gains(controller.plant, K, controller.L, sampling).K

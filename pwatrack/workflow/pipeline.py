@@ -30,7 +30,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.figures import Figures, Measuring
 from pwatrack.simulation.late_start import late_start
 from pwatrack.simulation.propagate import sample_count, trace_blocks
-from pwatrack.simulation.sampled_runs import check_sample_time, refused, sampling_remarks
+from pwatrack.simulation.sampled_runs import check_sample_time, not_simulated, refused, sampling_remarks
 from pwatrack.simulation.steady_state import LONGEST_PERIOD, SteadyState, from_measured, measured_start, periodic_state
 from pwatrack.simulation.trace import Trace, TraceOnDisk
 from pwatrack.spec.box import corners
@@ -228,7 +228,7 @@ def _sampling_known(spec: Spec) -> Iterator[str]:
         with suppress(PwatrackError):  # `design` says what
             controller = design(spec, growing=True)
             found, known = refused(controller, spec.scenario.conditions), list(sampling_remarks(controller))
-            yield from [f"{found[0]}; so it is not simulated", *known] if found else known
+            yield from [not_simulated(found[0]), *known] if found else known
             return
     yield f"sampling every {sampling.sample_time:g} s is not judged here: 'design' does, with its gains"
 

@@ -8,7 +8,7 @@ from .bounds import BOUNDS, SIGNALS, Loop
 from .elements import Element, Function
 from .matrices import AuditFault, Matrix, added, spend
 from .plant import AuditedPlant, at_centres
-from .reading import distinct, number, place
+from .reading import amount, distinct, number, place
 from .shape import FUNCTION, LISTED, NUMBER, TERM, TEXT, WHOLE, of
 
 MERGED = TERM | of(WHOLE, "element first last") | {"name": TEXT, "merged": FUNCTION, "largest": NUMBER}
@@ -127,6 +127,6 @@ def decided(of_design: Loop, whole: Any) -> tuple[list[str], list[str]]:
         if total > number(size):
             faults.append(f"{kind} {k} does not end below {size}")
     sizes = ", ".join(str(size) for kind, _, size in content["ends_below"] if kind == tracked)
-    said = f"practical tracking: the field of {len(loop.true.A)} cells is that and {count} bounded deviation"
-    said = f"{said}{'s' * (count != 1)}; what is tracked ends below {sizes}{at_centres(whole)}"
+    said = f"practical tracking: the field of {len(loop.true.A)} cells is that and {amount(count, 'bounded deviation')}"
+    said = f"{said}; what is tracked ends below {sizes}{at_centres(whole)}"
     return [f"practical tracking: {fault}" for fault in faults], [said]
