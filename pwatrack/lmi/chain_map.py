@@ -115,7 +115,6 @@ class ChainMap(LinearMap):
         return np.concatenate([*map(self.P.of, P), T.ravel(), [t]])
 
     def apply(self, v: Array) -> Array:
-        """Return A(v): the left-hand sides."""
         x = v[-1] * self.T
         for P, (at, L, R) in zip(self.matrices(v), self.of, strict=True):
             half = L @ P @ R
@@ -124,7 +123,6 @@ class ChainMap(LinearMap):
         return np.asarray(x.ravel())
 
     def adjoint(self, z: Array) -> Array:
-        """Return A*(Z): its product with v is Σ tr Z_j A_j(v)."""
         (Z,) = self.blocks.stacks(z)
         rows = [2 * self.P.row((R @ Z[at] @ L).sum(axis=0)) for at, L, R in self.of]
         found = np.concatenate([*rows, np.zeros(self.size - self.first)])
@@ -132,16 +130,15 @@ class ChainMap(LinearMap):
         found[-1] = np.vdot(Z, self.T)
         return found
 
-    def factorized(self, H: Array, room: Array) -> Normal | ChainNormal:
-        """Return the normal equations, block by block where there are many, each with the next."""
+    @cached_property
+    def _chained(self) -> bool:
+        """Whether it is quicker to eliminate matrices one after the other: each is with the next alone."""
         ring = {(self.count - 1, 0), *((k, j) for k in range(self.count) for j in (k, k - 1))}
         long = self.count >= _CHAIN[0] and self.first >= _CHAIN[1]
-        chained = long and {(k, j) for k, j, *_ in self.pairs} <= ring
-        return ChainNormal(H, self.places) if chained else Normal(H, room)
+        return long and {(k, j) for k, j, *_ in self.pairs} <= ring
 
-    def normal(self, w: Array, H: Array) -> None:
-        """Write the lower triangle of H with v'ᵀ H v = Σ tr A_j(v) W_j A_j(v') W_j."""
-        (W,) = self.blocks.stacks(w)
+    def normal(self, w: Array) -> tuple[Normal | ChainNormal, None]:
+        (W,), H = self.blocks.stacks(w), np.zeros((self.size, self.size))
         H[-1] = self.adjoint((W @ self.T @ W).ravel())
         low, n = (self.P.rows, self.P.columns), self.P.n
         turned = [W[at] @ G for (at, _, _), G in zip(self.of, self.both, strict=True)]
@@ -155,11 +152,11 @@ class ChainMap(LinearMap):
             H[self.places[k], self.places[other]] = 2 * (half + half.transpose(0, 2, 1))[:, *low]
         if len(self.having):
             self._fill_scalars(W[self.having, None], H)
+        return ChainNormal(H, self.places) if self._chained else Normal(H), None
 
     def _fill_scalars(self, W: Array, H: Array) -> None:
         """Write the rows of the τ but for what they have with t."""
         turned = W @ self.S @ W
-        H[self.first : -1, :-1] = 0.0
         for place, (at, L, R) in zip(self.places, self.of, strict=True):
             _, one, two = np.intersect1d(self.having, at, return_indices=True)
             X = R[two, None] @ turned[one] @ L[two, None]

@@ -10,7 +10,6 @@ tr W is to be small. It stands in that inequality alone, so it is eliminated by 
 """
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -140,11 +139,6 @@ class LinearMap:
             row[: self.P.size] = self.P.row(E)
         self.values = np.array([value for _, value in program.equalities])
 
-    @cached_property
-    def rooms(self) -> tuple[Array, Array]:
-        """Where a matrix of the normal equations, and its factor, are written."""
-        return np.zeros((self.main, self.main)), np.empty((self.main, self.main))
-
     def parts(self, v: Array) -> tuple[Array, Array, float]:
         """Return P, Y and t."""
         return (
@@ -181,10 +175,6 @@ class LinearMap:
             result[self.main :] = -self.W.row(corner[: self.W.n, : self.W.n])
         return result
 
-    def factorized(self, H: Array, room: Array) -> Normal | ChainNormal:
-        """Return the normal equations, of which H has the lower triangle, factorized."""
-        return Normal(H, room)
-
     def step(self, scalings: Sequence[Scaling]) -> "Equations":
         """Return the equations of a step, factorized."""
         return Equations(self, scalings)
@@ -199,11 +189,10 @@ class LinearMap:
             each = Z if len(side.T) == len(Z) else Z.sum(axis=0, keepdims=True)
             result[self.main - 1] += float(np.vdot(each, side.T))
 
-    def normal(self, w: Array, H: Array) -> Corner | None:
-        """Write the lower triangle of H with v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i; W is eliminated from it."""
-        k, parts = self.P.size, self.blocks.parts(w)
-        terms = {name: list[Array]() for name in ("X", "V", "U", "a", "b", "c", "e", "g", "h", "q")}
-        H[-1] = 0.0
+    def normal(self, w: Array) -> tuple[Normal | ChainNormal, Corner | None]:
+        """Return the H with v'ᵀ H v = Σ tr A_i(v) W_i A_i(v') W_i, factorized; W is eliminated from it."""
+        k, parts, H = self.P.size, self.blocks.parts(w), np.zeros((self.main, self.main))
+        terms = {name: list[Array]() for name in "XVUabceghq"}
         for side, W in zip(self.sides, parts, strict=False):
             if side.T is not None:
                 row = np.zeros(self.size)
@@ -224,7 +213,7 @@ class LinearMap:
             H[k:-1, k:-1] = 2 * Y.reshape(self.m * self.n, self.m * self.n)
         if terms["a"]:
             self._fill_Y(H, terms)
-        return corner
+        return Normal(H), corner
 
     def _fill_P(self, H: Array, terms: dict[str, list[Array]]) -> None:
         """Write the rows of P, those with first index a at once; of both orders of (b, c, d) one product has half."""
@@ -256,9 +245,7 @@ class Equations:
         w = np.empty(linear.blocks.size)
         for W, scaling in zip(linear.blocks.stacks(w), scalings, strict=True):
             np.matmul(scaling.E.transpose(0, 2, 1), scaling.E, out=W)
-        H, room = linear.rooms
-        self._corner = linear.normal(w, H)
-        self._normal = linear.factorized(H, room)
+        self._normal, self._corner = linear.normal(w)
 
     def apply(self, v: Array) -> list[Array]:
         """Return the scaled left-hand sides, stack by stack."""

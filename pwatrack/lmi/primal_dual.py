@@ -90,7 +90,7 @@ def solve(
     if found is None:
         return None
     at, iterations, impossible = found
-    unit = _value(linear, at) if impossible else 1.0
+    unit = _Rest(linear, at).value if impossible else 1.0
     multipliers = tuple(Z / unit for Z in linear.blocks.parts(at.z)[: len(program.constraints)])
     P, Y, t = linear.parts(at.v)
     return Solution(
@@ -114,20 +114,19 @@ def least(linear: LinearMap, *, gap: float, against: float | None = None, near: 
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         begun = None if near is None else _centred(linear, near)
         found = None if begun is None else _minimise(linear, begun, gap, against, 0.0)
-        if found is None or not _ended(linear, found[0], against):
+        rest = None if found is None else _Rest(linear, found[0])
+        good = rest is not None and against is not None and rest.objective < against
+        known = rest is not None and np.abs(rest.slope).max() <= _ROUNDED * (1 + np.abs(linear.cost).max())
+        if not (good or known):  # multipliers do not say how good v is
             found = _minimise(linear, _start(linear), gap, against, 0.0)
     return None if found is None or found[2] else found[0].v
 
 
 def _map(program: SemidefiniteProgram) -> LinearMap:
     """Return the quicker of the two forms of the linear map."""
-    order = max(c.constant.shape[1] for c in program.constraints)
-    order = order if program.weight is None else max(order, sum(program.weight.shape))
-    cells = sum(len(c.constant) for c in program.constraints)
-    size = program.n * (program.n + 1) // 2 + program.m * program.n + 1
-    size += 0 if program.weight is None else len(program.weight) * (len(program.weight) + 1) // 2
-    work = cells * size * order**2 * (2 * order + size)
-    return DenseMap(program) if work <= _DENSE else LinearMap(program)
+    linear, cells = LinearMap(program), sum(len(c.constant) for c in program.constraints)
+    size, order = linear.size, max(N for _, N in linear.blocks.shapes)
+    return DenseMap(program) if cells * size * order**2 * (2 * order + size) <= _DENSE else linear
 
 
 @cache
@@ -153,13 +152,14 @@ def _minimise(
         lowest = min(lowest, gap)
         if not 0 < gap < np.inf or (best is not None and gap > _LOST * lowest):
             break
-        if not max(off) <= _OFF and _impossible(linear, at, rest):
+        if not max(off) <= _OFF and rest.impossible:
             return at, number, True
         if off[0] <= _OFF:
             best = at, number, False
             if against is not None and rest.objective < against:
                 return best
-        if against is not None and off[1] <= _OFF and _beyond(_value(linear, at), rest, against, share):
+        above = against is not None and against < rest.value <= rest.objective  # as the dual objective alone says
+        if against is not None and above and off[1] <= _OFF and gap <= share * (rest.value + gap - against):
             return at, number, False
         slight = abs(float(rest.slope @ at.v)) <= wanted or gap <= _STALLED * wanted
         flat = off[1] <= _OFF or (off[1] <= _ROUNDED and slight)
@@ -189,22 +189,9 @@ class _Rest:
         self.pull = linear.adjoint(at.z)  # A*(Z)
         self.slope = -linear.cost - self.pull - at.y @ linear.rows
         self.gap, self.objective = float(at.s @ at.z), float(linear.cost @ at.v)
-
-
-def _beyond(value: float, rest: _Rest, against: float, share: float) -> bool:
-    """Say whether the dual objective alone keeps the objective above a number, by all but a share of the distance."""
-    return against < value <= rest.objective and rest.gap <= share * (value + rest.gap - against)
-
-
-def _impossible(linear: LinearMap, at: _Iterate, rest: _Rest) -> bool:
-    """Say whether the multipliers say that no v has A(v) + C ⪯ 0, F v = b: A*(Z) + Fᵀ y = 0 and tr C Z > bᵀ y."""
-    value = _value(linear, at)
-    return bool(value > 0 and np.abs(rest.slope + linear.cost).max() <= _IMPOSSIBLE * value)
-
-
-def _value(linear: LinearMap, at: _Iterate) -> float:
-    """Return the dual objective."""
-    return float(linear.constant @ at.z - at.y @ linear.values)
+        self.value = float(linear.constant @ at.z - at.y @ linear.values)  # of the dual
+        # no v has A(v) + C ⪯ 0, F v = b where A*(Z) + Fᵀ y = 0 and tr C Z > bᵀ y
+        self.impossible = self.value > 0 and bool(np.abs(self.slope + linear.cost).max() <= _IMPOSSIBLE * self.value)
 
 
 def _start(linear: LinearMap) -> _Iterate:
@@ -217,13 +204,6 @@ def _start(linear: LinearMap) -> _Iterate:
         Z[:] = _FAR * max(1.0, float(np.abs(linear.cost).max())) * np.eye(N)
     v, y = np.zeros(linear.size), np.zeros(len(linear.values))
     return _Iterate(v=v, image=np.zeros(linear.blocks.size), s=s, z=z, y=y)
-
-
-def _ended(linear: LinearMap, at: _Iterate, against: float | None) -> bool:
-    """Say whether multipliers say how good v is, or whether it is as good as is asked for."""
-    if against is not None and linear.cost @ at.v < against:
-        return True
-    return bool(np.abs(_Rest(linear, at).slope).max() <= _ROUNDED * (1 + np.abs(linear.cost).max()))
 
 
 def _centred(linear: LinearMap, near: Array) -> _Iterate | None:
