@@ -184,17 +184,22 @@ def proves(system: Clocked, P: Sequence[Packed], T: Sequence[Sequence[float]], r
     ends = ((J, (after.P, after.scale), (before.P, before.scale)) for J, after, before in jumps)
     if not all(is_positive_definite(shrunk(*end)) for end in ends):
         return False
+    for rise, P_e, T_e in rises(system, parts):
+        decay = rise + scalar(2 * rate) * P_e.P
+        for F, (_, U, V) in zip(turned, system.boxes, strict=True):
+            more = decay + edges(BallMatrix(P_e.P) @ U, V.transpose(), T_e, P_e.scale)
+            if not is_positive_definite(left_side(F, P_e) - more):
+                return False
+    return True
+
+
+def rises(system: Clocked, parts: Sequence[Sequence[Knot]]) -> Iterator[tuple[Rational, Packed, Sequence[float]]]:
+    """Yield (P_{k+1} − P_k) / δ with what stands at each of both ends."""
     slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
     for part in parts:
         for one, other in pairwise(part):
             rise = (other[0].P - one[0].P) * slope
-            for P_e, T_e in (one, other):
-                decay = rise + scalar(2 * rate) * P_e.P
-                for F, (_, U, V) in zip(turned, system.boxes, strict=True):
-                    more = decay + edges(BallMatrix(P_e.P) @ U, V.transpose(), T_e, P_e.scale)
-                    if not is_positive_definite(left_side(F, P_e) - more):
-                        return False
-    return True
+            yield from ((rise, *end) for end in (one, other))
 
 
 def edges(U: BallMatrix, V: BallMatrix, T: Sequence[float], unit: Sequence[Fraction]) -> Rational:

@@ -70,7 +70,7 @@ class ClockedForms:
     V: Array  # (v, p, n)
     J: Array  # vertices of what a tick makes of it, (w, n, n)
     R: Array  # what the end of a part of the period makes of it, (n, n)
-    parts: int  # as in `clocked`, as the next two
+    parts: int = 1  # as in `clocked`, as the next two
     knots: int
     period: float
     sizes: Array  # of z, (n,)
@@ -205,7 +205,6 @@ class ClockedForms:
         found = self.of_few(
             lambda last: inside.largest_margin(weight, last or begin, any_margin=any_margin),
             lambda found, s: inside.left(*found[:2], s) - _HELD * found[2] * self.share * weight,
-            _WORST,
         )
         if found is None:
             return None
@@ -213,7 +212,10 @@ class ClockedForms:
         return Forms(forms, T, self.rate(forms, T))
 
     def of_few(
-        self, solved: Callable[[Found | None], Found | None], left: Callable[[Found, Segment], Array], worst: int
+        self,
+        solved: Callable[[Found | None], Found | None],
+        left: Callable[[Found, Segment], Array],
+        worst: int = _WORST,
     ) -> Found | None:
         """Return what is found for the boxes that are asked for, after what is of fewer, and does for all, or None.
 
@@ -317,11 +319,7 @@ class ClockedForms:
         sides = (back[s[2]] @ self.left(P, T, s) @ back[s[2]].T for s in self.segments)
         flows = min(float(_least(X).min()) for X in sides) / (2 * self.step)
         turned = (back[k] @ (P[k] - J.T @ P[after] @ J) @ back[k].T for k, after, J, _ in self.jumps(self.J, self.R))
-        return min(flows, float(_least(self.counted(np.array(list(turned)))).min()))
-
-    def counted(self, turned: Array) -> Array:
-        """Return what ticks leave of the form beside rates: it need not lose there, if it does not grow."""
-        return turned * (_STEEP / self.period)
+        return min(flows, float(_least(np.array(list(turned)) * (_STEEP / self.period)).min()))
 
     def largest_margin(self, weight: Array, begin: Margin | None, *, any_margin: bool = False) -> Margin | None:
         """Return P, (knots, n, n), and T with the largest margin for the boxes that are asked for, or with any.

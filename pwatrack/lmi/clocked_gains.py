@@ -12,8 +12,6 @@ W, V the blocks of Y that e has with e, and ν with e.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -27,7 +25,6 @@ _MOST = 2_100  # unknowns: a step of the search takes a tenth of a second then
 _GAP = 1e-3  # share of the trace that may be missed
 _REST = 1e-4  # of what noise makes in a period: what flows are to leave beside
 _LEAST = 1e-6  # of what is optimal for the mean, at all
-_WORST = 4  # cells that are added for each end of a segment where some are not satisfied
 
 
 def correction(A: Array, C: Array, Q: Array, R: Array, *, period: float, near: Array) -> Array | None:
@@ -85,63 +82,39 @@ def largest_form(F: Array, G: Array, N: Array | None, X: Array, near: Array, per
     with suppress(np.linalg.LinAlgError):  # a form is not definite to working precision
         at = Frame(np.asarray(np.linalg.inv(np.linalg.cholesky(near))))
         X, eye = at.right(at.right(X[None])[0].T[None])[0], np.eye(len(near))
-        forms = Largest(
-            F=at.inside(F) * period,
-            G=at.left(G[None])[0] * np.sqrt(period),
-            N=eye if N is None else np.linalg.qr(at.left(N[None])[0])[0],
-            X=X,
-        )
+        F, G = at.inside(F) * period, at.left(G[None])[0] * np.sqrt(period)
+        N = eye if N is None else np.linalg.qr(at.left(N[None])[0])[0]
         for knots in _KNOTS:
-            if (P := forms.at(knots)) is not None:
+            if (P := _largest(F, G, N, X, knots)) is not None:
                 return np.asarray(at.L.T @ P @ at.L)
     return None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Largest:
-    """The forms above that have the largest trace, with ticks 1 apart."""
+def _largest(F: Array, G: Array, N: Array, X: Array, knots: int) -> Array | None:
+    """Return P_N of so many segments, with ticks 1 apart; None where there is none, or it takes too long."""
+    (v, n, _), p, eye = F.shape, G.shape[1], np.eye(len(G))
+    U, V = np.zeros((v, n, 0)), np.zeros((v, 0, n))
+    clock = ClockedForms(F=F, U=U, V=V, J=eye[None], R=eye, knots=knots, period=1.0, sizes=np.ones(n))
+    if clock.unknowns > _MOST:
+        return None
+    first, own, push = np.eye(n, n + p), np.eye(p, n + p, n), np.sqrt(clock.step) * G.T
 
-    F: Array  # (v, n, n)
-    G: Array  # (n, p)
-    N: Array  # (n, k)
-    X: Array  # (n, n)
-
-    def at(self, knots: int) -> Array | None:
-        """Return P_N, (n, n), of so many segments; None where there is none, or it takes too long."""
-        (v, n, _), eye = self.F.shape, np.eye(len(self.G))
-        U = np.zeros((v, n, 0))
-        clock = ClockedForms(
-            F=self.F,
-            U=U,
-            V=U.transpose(0, 2, 1),
-            J=eye[None],
-            R=eye,
-            parts=1,
-            knots=knots,
-            period=1.0,
-            sizes=np.ones(n),
-        )
-        if clock.unknowns > _MOST:
-            return None
-        fixed = [Bound({k: (-eye / 2, eye)}, _LEAST * eye) for k in range(clock.count)]
-        fixed.append(Bound({0: (self.N.T / 2, self.N), knots: (-self.N.T / 2, self.N)}, -self.N.T @ self.X @ self.N))
-        found = clock.of_few(
-            lambda _: clock.solved(fixed, partial(self._falls, clock), _GAP, -eye / n),
-            lambda found, segment: self._left(clock, found[0], segment),
-            _WORST,
-        )
-        return None if found is None else found[0][-1]
-
-    def _falls(self, clock: ClockedForms, segment: Segment, i: int) -> Bound:
+    def falls(segment: Segment, i: int) -> Bound:
         """Return the inequality of a cell at an end of a segment, with a little to spare."""
-        (n, p), (_, _, e) = self.G.shape, segment
-        first, own = np.eye(n, n + p), np.eye(p, n + p, n)
-        push, nothing = np.sqrt(clock.step) * self.G.T, np.zeros((p, n))
-        flows = clock.falls(segment, i, np.eye(n)).terms
-        terms = {j: (np.vstack([L, push if j == e else nothing]), first) for j, (L, _) in flows.items()}
-        return Bound(terms, clock.step * _REST * first.T @ self.G @ self.G.T @ first - own.T @ own)
+        flows = clock.falls(segment, i, eye).terms
+        terms = {
+            j: (np.vstack([L, push if j == segment[2] else np.zeros_like(push)]), first) for j, (L, _) in flows.items()
+        }
+        return Bound(terms, clock.step * _REST * first.T @ G @ G.T @ first - own.T @ own)
 
-    def _left(self, clock: ClockedForms, P: Array, segment: Segment) -> Array:
-        push = P[segment[2]] @ self.G
-        spent = push @ push.T - _LEAST * np.eye(len(push))
+    def left(P: Array, segment: Segment) -> Array:
+        push = P[segment[2]] @ G
+        spent = push @ push.T - _LEAST * eye
         return np.asarray(clock.left(P, np.zeros((clock.count, 0)), segment) - clock.step * spent)
+
+    fixed = [Bound({k: (-eye / 2, eye)}, _LEAST * eye) for k in range(clock.count)]
+    fixed.append(Bound({0: (N.T / 2, N), knots: (-N.T / 2, N)}, -N.T @ X @ N))
+    found = clock.of_few(
+        lambda _: clock.solved(fixed, falls, _GAP, -eye / n), lambda found, segment: left(found[0], segment)
+    )
+    return None if found is None else found[0][-1]

@@ -46,7 +46,6 @@ _GAP = 1e-3  # share of the scale that may be missed
 _BITS = (40, 80)  # of the entries of P_k
 _INSIDE = 1e-5  # by which P is made smaller, so that the starts are inside
 _ABOVE = 1e-6  # by which a size is more than floating point says
-_WORST = 4  # boxes that are added at each end of a segment where some are not satisfied
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +162,6 @@ class SaturatedTicks:
         found = inside.of_few(
             lambda _: inside.solved(fixed, lambda segment, i: inside.falls(segment, i, nothing), _GAP),
             lambda found, segment: inside.left(*found, segment),
-            _WORST,
         )
         return None if found is None else ([L.T @ P @ L for P in found[0]], found[1] * clock.longer(L) ** 2)
 

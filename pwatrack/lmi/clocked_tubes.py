@@ -34,7 +34,7 @@ import scipy  # whose parts are imported where they are used
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, beside, different
 from pwatrack.lmi.chain_map import Bound
-from pwatrack.lmi.clocked import Clocked, Knot, edges, knots_of, looked_for, short_diagonals, shrunk
+from pwatrack.lmi.clocked import Clocked, Knot, edges, knots_of, looked_for, rises, short_diagonals, shrunk
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
 from pwatrack.lmi.frame import Frame
@@ -43,7 +43,7 @@ from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_
 
 _BITS = (40, 80)  # of the entries of Q_k
 _GAP = 1e-3  # share of the cost that may be missed
-_WORST = 8  # boxes that are added at each end of a segment where some are not satisfied
+_WORST = 8  # boxes that are added at each end of a segment where some are not satisfied: more than for other forms
 _NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as good as nothing
 _FADING = 1e-9  # of the weight: of all of z, so that what is minimised is definite
 _THIN = 1e-12  # of the largest square of an axis of a tube: the least that coordinates make up for
@@ -366,22 +366,17 @@ def contains(
     left = (Q_k.P - form_above(g, identity(g.shape[1]), Q_k.scale) for g in holding for Q_k in inside)
     if not all(map(is_positive_definite, left)):
         return False
-    slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
-    for part in parts:
-        for one, other in pairwise(part):
-            fall = (one[0].P - other[0].P) * slope
-            for Q_e, T_e in (one, other):
-                rest = fall + scalar(a) * Q_e.P
-                for F, U, V in system.boxes:
-                    seen = BallMatrix(Q_e.P) @ V.transpose()
-                    more = rest + edges(seen, U, T_e, Q_e.scale)
-                    if pushes:
-                        pushed = _pushed(F @ driven.held + driven.between, seen, V @ driven.held, T_e, a)
-                        if pushed is None:
-                            return False
-                        more += form_above(*pushed, Q_e.scale)
-                    if not is_positive_definite(left_side(F, Q_e) - more):
-                        return False
+    for rise, Q_e, T_e in rises(system, parts):
+        for F, U, V in system.boxes:
+            seen = BallMatrix(Q_e.P) @ V.transpose()
+            more = scalar(a) * Q_e.P - rise + edges(seen, U, T_e, Q_e.scale)
+            if pushes:
+                pushed = _pushed(F @ driven.held + driven.between, seen, V @ driven.held, T_e, a)
+                if pushed is None:
+                    return False
+                more += form_above(*pushed, Q_e.scale)
+            if not is_positive_definite(left_side(F, Q_e) - more):
+                return False
     return True
 
 
