@@ -15,6 +15,7 @@ from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
 
 Block = tuple[Array, Array]  # G (N (N + 1) / 2, n) and h (N (N + 1) / 2,), as `upper` has symmetric matrices
+_Block = tuple[Any, Array]  # the same of triangles or whole matrices, G sparse
 _TIGHT = {"feastol": 1e-8, "abstol": 1e-8, "reltol": 1e-8, "maxiters": 200, "kktreg": 1e-9}  # of CVXOPT, for P, Y
 
 
@@ -67,22 +68,36 @@ def solve(program: SemidefiniteProgram, solver: Solver = "clarabel") -> Solution
     return Solution(program=program, P=P, Y=Y, t=float(t), multipliers=multipliers)
 
 
-def _of_clarabel(
-    cost: Array, blocks: Sequence[tuple[Any, Array]], rows: Any, values: Array
-) -> tuple[Array, list[Array]]:
-    """Return x, and the multipliers of blocks of triangles."""
+def _of_clarabel(cost: Array, blocks: Sequence[_Block], rows: Any, values: Array) -> tuple[Array, list[Array]]:
+    """Return x, and the multipliers of blocks of triangles, whatever the status.
+
+    Raises ArithmeticError if a number is not finite, or the library fails.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
     orders = [int(np.sqrt(2 * len(h))) for _, h in blocks]
-    G, h = (
-        sparse.vstack([*(G for G, _ in blocks), rows], format="csc"),
-        np.concatenate([*(h for _, h in blocks), values]),
-    )
-    answer = minimise(cost, G, h, [*map(clarabel.PSDTriangleConeT, orders), clarabel.ZeroConeT(len(values))])
+    cones = [*map(clarabel.PSDTriangleConeT, orders), clarabel.ZeroConeT(len(values))]
+    G = sparse.vstack([*(G for G, _ in blocks), rows], format="csc")
+    h = np.concatenate([*(h for _, h in blocks), values])
+    if not (np.isfinite(cost).all() and np.isfinite(G.data).all() and np.isfinite(h).all()):
+        raise ArithmeticError("a coefficient is not finite")
+    nothing = sparse.csc_matrix((len(cost), len(cost)))
+    try:
+        for method in ("faer", "qdldl"):  # the second is slower, and sometimes starts where the first does not
+            settings.direct_solve_method = method
+            answer = clarabel.DefaultSolver(nothing, cost, G, h, cones, settings).solve()
+            if answer.iterations > 2:
+                break
+    except BaseException as error:  # a panic of the Rust library is no Exception
+        if type(error).__name__ == "PanicException":
+            raise ArithmeticError(f"Clarabel failed: {error}") from None
+        raise
     each = np.split(np.array(answer.z), np.cumsum([len(h) for _, h in blocks]))
     return np.array(answer.x), [symmetric_of(z, N) for z, N in zip(each, orders, strict=False)]
 
 
 def _of_cvxopt(
-    cost: Array, blocks: Sequence[tuple[Any, Array]], rows: Any, values: Array
+    cost: Array, blocks: Sequence[_Block], rows: Any, values: Array
 ) -> tuple[Array | None, list[Array] | None]:
     """Return x, and the multipliers of blocks of whole matrices, by a slower way where the first one gives nothing."""
     import cvxopt
@@ -151,29 +166,3 @@ def _by_cvxopt(cost: Array, blocks: Sequence[Block]) -> Array | None:
     except ValueError:  # a rank that is too small
         return None
     return None if found["x"] is None else np.array(found["x"]).ravel()
-
-
-def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1e-8) -> Any:
-    """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
-
-    The gap is the share of the objective that may be missed. Raises ArithmeticError if a number is not finite, or the
-    library fails.
-    """
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    settings.tol_gap_rel = gap
-    if not (np.isfinite(cost).all() and np.isfinite(G.data).all() and np.isfinite(h).all()):
-        raise ArithmeticError("a coefficient is not finite")
-    nothing, answer = sparse.csc_matrix((len(cost), len(cost))), None
-    try:
-        for method in ("faer", "qdldl"):  # the second is slower, and sometimes starts where the first does not
-            settings.direct_solve_method = method
-            answer = clarabel.DefaultSolver(nothing, cost, G, h, list(cones), settings).solve()
-            if answer.iterations > 2:
-                break
-    except BaseException as error:  # a panic of the Rust library is no Exception
-        if type(error).__name__ == "PanicException":
-            raise ArithmeticError(f"Clarabel failed: {error}") from None
-        raise
-    return answer
