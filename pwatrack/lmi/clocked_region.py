@@ -37,7 +37,7 @@ from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import square_above
 from pwatrack.lmi.saturated import short
-from pwatrack.rational import Rational, diagonal, floats, is_positive_definite
+from pwatrack.rational import diagonal, floats, is_positive_definite
 
 _DECAYS = (0.02, 0.1)  # of the rate without limits: what V falls with at least, until that is enough to be proved
 _LEAST = 1e-4  # of P at all knots, in coordinates in which the starts have size 1
@@ -126,8 +126,7 @@ class SaturatedTicks:
             True
         """
         H, few = short(H), short_weights(G, weights)
-        exactly = BallMatrix.of(H, H.shape)
-        system = self.limited(exactly)
+        system = self.limited(BallMatrix.of(H, H.shape))
         for decay in _DECAYS:
             found = self._sought(system, G / np.sqrt(few), H / np.where(room > 0, room, np.inf)[:, None], decay)
             if found is None:
@@ -136,8 +135,8 @@ class SaturatedTicks:
             for bits in _BITS:
                 P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found[0])
                 if _starts_inside(P[-1], G, few) and proves(system, P, T, 0.0):
-                    sizes = tuple(_size_above(P[-1], row) for row in H)
-                    if all(is_positive_definite(_within(P[-1], exactly, j, size)) for j, size in enumerate(sizes)):
+                    sizes = _sizes(P[-1], H)
+                    if sizes is not None:
                         return ClockedRegion(P=P, T=T, H=H, weights=few, sizes=sizes)
         return None
 
@@ -177,15 +176,16 @@ def _starts_inside(P: Packed, G: Array, weights: Sequence[float]) -> bool:
     return is_positive_definite(diagonal([Fraction(repr(w)) for w in weights]) - inside)
 
 
-def _within(P: Packed, H: BallMatrix, j: int, size: float) -> Rational:
-    """Return what is positive definite where |H_j z| ≤ size for zᵀ P z ≤ 1; for a row of 0 P itself."""
-    row = H.part([j], range(H.shape[1])).transpose()
-    return P.P if not size else P.P - square_above(row, [1 / Fraction(repr(size)) ** 2], P.scale)
-
-
-def _size_above(P: Packed, row: Array) -> float:
-    size = float(np.sqrt(row @ np.linalg.solve(floats(P.P), row))) * (1 + _ABOVE)
-    return float(f"{size:.9e}")
+def _sizes(P: Packed, H: Array) -> tuple[float, ...] | None:
+    """Return short numbers with |H_j z| ≤ size where zᵀ P z ≤ 1, if that is so, decided in fractions."""
+    found = []
+    for row in H:
+        size = float(np.sqrt(row @ np.linalg.solve(floats(P.P), row))) * (1 + _ABOVE)
+        found.append(float(f"{size:.9e}"))
+        inside = [1 / Fraction(repr(found[-1])) ** 2] if row.any() else [Fraction(0)]
+        if not is_positive_definite(P.P - square_above(BallMatrix.of(row[:, None]), inside, P.scale)):
+            return None
+    return tuple(found)
 
 
 def ticking(a: float, gain: float) -> SaturatedTicks:

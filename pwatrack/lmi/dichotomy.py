@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
 
 from pwatrack.arrays import Array, symmetric_part
-from pwatrack.ball_matrix import BallMatrix
+from pwatrack.ball_matrix import BallMatrix, stack
 from pwatrack.lmi.exact import Packed, left_side, margin_of
 from pwatrack.lmi.inequality import Role, lyapunov
 from pwatrack.lmi.multipliers import conflict, whole
@@ -40,16 +40,14 @@ class Dichotomy(Packed):
 
 def prove_dichotomy(role: Role, M: Sequence[BallMatrix]) -> Dichotomy | None:
     """Find such a P and prove it exactly, or return None."""
-    proofs = (_exactly(role, M, P) for P in _candidates(np.array([M_i.floats for M_i in M])))
+    proofs = (_exactly(role, M, P) for P in _candidates(stack(M)))
     return next((proof for proof in proofs if proof is not None), None)
 
 
 def _candidates(M: Array) -> Iterator[Array]:
     """Yield matrices P: that of the mean of the cells, then one of a large margin where that one is diag(±1)."""
-    mean = M.mean(axis=0)
-    start = _hyperbolic(mean)
-    if start is None:
-        start = _hyperbolic(M[0])
+    starts = (_hyperbolic(X) for X in (M.mean(axis=0), M[0]))
+    start = next((P for P in starts if P is not None), None)
     if start is None:
         return
     yield start
@@ -107,7 +105,7 @@ class NoDichotomy:
 def refute_dichotomy(role: Role, M: Sequence[BallMatrix]) -> NoDichotomy | None:
     """Prove that no P of any sign has M_i P + P M_iᵀ ≺ 0 for all cells, the middles of balls; or return None."""
     middles = [BallMatrix(M_i.centre) for M_i in M]
-    near = np.array([M_i.floats for M_i in M])
+    near = stack(M)
     numbers = _numbers(role, middles, near)
     if numbers is not None:
         return numbers

@@ -78,10 +78,10 @@ class Triangle:
         self.rows, self.columns = np.tril_indices(n)
 
     def matrix(self, v: Array) -> Array:
-        """Return the matrix of a vector."""
-        T = np.zeros((self.n, self.n))
-        T[self.rows, self.columns] = v
-        return T + T.T
+        """Return the matrix of a vector, or of each of several."""
+        T = np.zeros((*v.shape[:-1], self.n, self.n))
+        T[..., self.rows, self.columns] = v
+        return symmetric_part(T)
 
     def of(self, X: Array) -> Array:
         """Return the vector of a matrix."""
@@ -323,26 +323,23 @@ class DenseMap(LinearMap):
         super().__init__(program, padded=True)
         self.images = np.zeros((self.size, self.blocks.size))
         cells, order = self.blocks.shapes[0]
-        stack, first = self.images.reshape(self.size, cells, order, order), 0
+        stack, first, P = self.images.reshape(self.size, cells, order, order), 0, self.P.matrix(np.eye(self.P.size))
+        Y = np.eye(self.m * self.n).reshape(self.m * self.n, 1, self.m, self.n)
         for side, c in zip(self.sides, program.constraints, strict=True):
             last, N = first + len(c.constant), c.constant.shape[1]
-            self._write(stack[:, first:last, :N, :N], side, N)
-            first = last
+            out, first = stack[:, first:last, :N, :N], last
+            if side.L is not None:
+                half = side.L @ P[:, None]
+                both = half if side.R is None else np.einsum("ulij,ljk->ulik", half, side.R)
+                out[: self.P.size] = symmetric_part(both)
+            if side.M is not None:
+                out[self.P.size : self.main - 1] = symmetric_part(_times(side.M @ Y, side.N))
+            if side.T is not None:
+                out[self.main - 1] = side.T
         if self.V is not None:
             k = self.W.n
-            stack[: self.P.size, -1, k : k + self.n, k : k + self.n] = -_units(self.P)
-            stack[self.main :, -1, :k, :k] = -_units(self.W)
-
-    def _write(self, out: Array, side: Side, N: int) -> None:
-        k, eye = self.P.size, np.eye(N)[None]
-        if side.L is not None:
-            whole = _outer(side.L, eye if side.R is None else side.R)
-            out[:k] = symmetric_part(whole[self.P.rows, self.P.columns] + whole[self.P.columns, self.P.rows])
-        if side.M is not None:
-            whole = _outer(side.M, eye if side.N is None else side.N)
-            out[k : self.main - 1] = symmetric_part(whole.reshape(-1, *whole.shape[2:]))
-        if side.T is not None:
-            out[self.main - 1] = side.T
+            stack[: self.P.size, -1, k : k + self.n, k : k + self.n] = -P
+            stack[self.main :, -1, :k, :k] = -self.W.matrix(np.eye(self.W.size))
 
     def apply(self, v: Array) -> Array:
         return np.asarray(v @ self.images)
@@ -370,14 +367,3 @@ class DenseEquations(Equations):
 
     def solve(self, right: Array) -> Array:
         return self._normal.solve(right)
-
-
-def _outer(front: Array, back: Array) -> Array:
-    """Return front_i[:, j] back_i[k, :] as (j, k, i, row, column)."""
-    return np.asarray(front.transpose(2, 0, 1)[:, None, :, :, None] * back.transpose(1, 0, 2)[None, :, :, None, :])
-
-
-def _units(of: Triangle) -> Array:
-    units, k = np.zeros((of.size, of.n, of.n)), np.arange(of.size)
-    units[k, of.rows, of.columns] = 1.0
-    return symmetric_part(units)

@@ -94,28 +94,18 @@ def region_around(loop: SaturatedLoop, G: Array, room: Array, *, enough: float =
     ellipsoid = loop.around(G, room)
     if ellipsoid is None or scale_of(ellipsoid, room) >= enough:
         return ellipsoid
-    polynomial = _polynomial(loop, ellipsoid, G, room)
-    if polynomial is None or scale_of(polynomial, room) < _NEARLY * scale_of(ellipsoid, room):
-        return ellipsoid
-    return polynomial
+    search = _Search.of(loop, ellipsoid, G, room)
+    for tried in () if search is None else (replace(search, d=degree // 2) for degree in DEGREES):
+        found = (tried.found(decay) for decay in _DECAYS if tried.rows <= MOST_ROWS)
+        best = next((one for one in found if one is not None), None)
+        if best is not None and (proved := tried.proved(best)) is not None:
+            return proved if scale_of(proved, room) >= _NEARLY * scale_of(ellipsoid, room) else ellipsoid
+    return ellipsoid
 
 
 def scale_of(region: StartEllipsoid | PolynomialRegion, room: Array) -> float:
     """Return how many times the starts are inside, for this ū; infinite where no input is moved."""
     return min((float(most / size) for most, size in zip(room, region.sizes, strict=True) if size), default=np.inf)
-
-
-def _polynomial(loop: SaturatedLoop, ellipsoid: Region, G: Array, room: Array) -> PolynomialRegion | None:
-    """Return the region that is found from an ellipsoid around the same starts, if one is proved."""
-    search = _Search.of(loop, ellipsoid, G, room)
-    if search is None:
-        return None
-    for tried in (replace(search, d=degree // 2) for degree in DEGREES):
-        found = (tried.found(decay) for decay in _DECAYS if tried.rows <= MOST_ROWS)
-        best = next((one for one in found if one is not None), None)
-        if best is not None and (proved := tried.proved(best)) is not None:
-            return proved
-    return None
 
 
 @dataclass(frozen=True, kw_only=True)
