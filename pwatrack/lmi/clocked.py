@@ -145,13 +145,17 @@ def _faster(program: ClockedForms, best: Forms, rates: Sequence[float]) -> Forms
 def proved_forms(system: Clocked, found: Forms, rate: float) -> ClockedProof | None:
     """Return forms in short numbers that prove a rate, or a little less, or None."""
     T = short_diagonals(found.T)
-    for bits in _BITS:
-        P = tuple(Packed.of(P_k, bits=bits) for P_k in found.P)
+    for P in in_short_numbers(found.P):
         for share in _TRIED if rate else (1.0,):
             shown = rounded_down(rate * share, 6) if rate else 0.0
             if proves(system, P, T, shown):
                 return ClockedProof(P=P, T=T, rate=shown)
     return None
+
+
+def in_short_numbers(P: Sequence[Array | Rational]) -> Iterator[tuple[Packed, ...]]:
+    """Yield forms in short numbers, then in longer ones."""
+    return (tuple(Packed.of(P_k, bits=bits) for P_k in P) for bits in _BITS)
 
 
 def short_diagonals(T: Array) -> tuple[tuple[float, ...], ...]:
@@ -162,11 +166,8 @@ def short_diagonals(T: Array) -> tuple[tuple[float, ...], ...]:
 def knots_of(system: Clocked, P: Sequence[Packed], T: Sequence[Sequence[float]]) -> list[list[Knot]] | None:
     """Return what stands at the knots of each part, all P ≻ 0 and T > 0; None where it is not so, or does not fit."""
     N, p = len(P) // system.parts - 1, system.V[0].shape[0] if system.V else 0
-    if N < 1 or len(P) != system.parts * (N + 1) or len(T) != len(P):
-        return None
-    if any(len(row) != p or not all(v > 0 for v in row) for row in T):
-        return None
-    if not all(is_positive_definite(P_k.P) for P_k in P):
+    fits = N >= 1 and len(P) == system.parts * (N + 1) == len(T) and all(len(row) == p for row in T)
+    if not (fits and all(v > 0 for row in T for v in row) and all(is_positive_definite(P_k.P) for P_k in P)):
         return None
     knots = list(zip(P, T, strict=True))
     return [knots[j : j + N + 1] for j in range(0, len(P), N + 1)]

@@ -31,7 +31,7 @@ import numpy as np
 from pwatrack.arrays import Array, root_of
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.chain_map import Bound
-from pwatrack.lmi.clocked import Clocked, clocked_proof, looked_for, proves, short_diagonals
+from pwatrack.lmi.clocked import Clocked, clocked_proof, in_short_numbers, looked_for, proves, short_diagonals
 from pwatrack.lmi.ellipsoid import reach_of, short_weights
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.frame import Frame
@@ -43,7 +43,6 @@ _DECAYS = (0.02, 0.1)  # of the rate without limits: what V falls with at least,
 _LEAST = 1e-4  # of P at all knots, in coordinates in which the starts have size 1
 _SEEN = 1e-3  # share of what rows are of z that is as large as starts: less that starts make of them counts as that
 _GAP = 1e-3  # share of the scale that may be missed
-_BITS = (40, 80)  # of the entries of P_k
 _INSIDE = 1e-5  # by which P is made smaller, so that the starts are inside
 _ABOVE = 1e-6  # by which a size is more than floating point says
 
@@ -132,8 +131,7 @@ class SaturatedTicks:
             if found is None:
                 break  # nothing falls faster either
             T = short_diagonals(found[1] * (1 - _INSIDE))
-            for bits in _BITS:
-                P = tuple(Packed.of(P_k * (1 - _INSIDE), bits=bits) for P_k in found[0])
+            for P in in_short_numbers([P_k * (1 - _INSIDE) for P_k in found[0]]):
                 if _starts_inside(P[-1], G, few) and proves(system, P, T, 0.0):
                     sizes = _sizes(P[-1], H)
                     if sizes is not None:

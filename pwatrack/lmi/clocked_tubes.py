@@ -34,14 +34,23 @@ import scipy  # whose parts are imported where they are used
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, beside, different
 from pwatrack.lmi.chain_map import Bound
-from pwatrack.lmi.clocked import Clocked, Knot, edges, knots_of, looked_for, rises, short_diagonals, shrunk
+from pwatrack.lmi.clocked import (
+    Clocked,
+    Knot,
+    edges,
+    in_short_numbers,
+    knots_of,
+    looked_for,
+    rises,
+    short_diagonals,
+    shrunk,
+)
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.exact import Packed, left_side, rounded_down
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import form_above, sizes_in
 from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_definite, number, root, scalar
 
-_BITS = (40, 80)  # of the entries of Q_k
 _GAP = 1e-3  # share of the cost that may be missed
 _WORST = 8  # boxes that are added at each end of a segment where some are not satisfied: more than for other forms
 _NOTHING = 1e-9  # of what would drive at the rate of z: what is taken for as good as nothing
@@ -338,8 +347,7 @@ def tube(
         if found is None:
             return None
         T = short_diagonals(found[1])
-        for bits in _BITS:
-            Q = tuple(Packed.of(Q_k, bits=bits) for Q_k in found[0])
+        for Q in in_short_numbers(found[0]):
             if contains(system, driven, Q, T, a, b, summed=summed):
                 sizes = zip(*(sizes_in(Q_k.P, rows) for Q_k in Q), strict=True)
                 return Tube(Q=Q, T=T, a=a, b=b, sizes=tuple(map(max, sizes)), summed=summed)

@@ -1,7 +1,7 @@
 """Exact proof that no gain exists: of a cell, or mean of cells, whose mode no gain moves, or of cells that conflict."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import null_space, orth
@@ -69,7 +69,10 @@ def refute_by_modes(
         return Refutation(Z=whole({cells[i]: Z_i for i, Z_i in Z.items()}), eigenvalues=named)
     at = corners(A).tolist()
     mean = uncontrollable_mean(A[at] + rate * np.eye(A.shape[1]), B, [exact_A[i] for i in at], exact_B)
-    return None if mean is None else Refutation(Z={}, eigenvalues={}, between=mean.of(at))
+    if mean is None:
+        return None
+    between = replace(mean, weights={at[i]: share for i, share in mean.weights.items()})
+    return Refutation(Z={}, eigenvalues={}, between=between)
 
 
 def _shifted(A: Array, B: Array, rate: float, exact: Exact | None) -> tuple[list[Rational], Rational]:

@@ -33,23 +33,6 @@ class Side:
         self.M, self.N = (_once(c.M), _unless_identity(c.N)) if c.M.any() else nothing
         self.T = None if c.T is None else _once(c.T)
 
-    def add(self, out: Array, P: Array, Y: Array, t: float) -> None:
-        """Add the left-hand sides without their constants to (l, N, N)."""
-        if self.L is not None:
-            rows = self.L.reshape(-1, self.L.shape[2]) @ P
-            out += symmetric_part(_times(rows.reshape(self.L.shape), self.R))
-        if self.M is not None:
-            out += symmetric_part(_times(self.M @ Y, self.N))
-        if self.T is not None:
-            out += t * self.T
-
-    def of_P(self, Z: Array) -> Array:
-        """Return G with tr G P = ½ Σ tr Z_i A_i(P)."""
-        assert self.L is not None
-        if self.R is None and len(self.L) == len(Z):
-            return np.asarray(Z.reshape(-1, Z.shape[2]).T @ self.L.reshape(-1, self.L.shape[2]))
-        return np.asarray(_front(self.R, _both(Z, self.L, self.R)).sum(axis=0))
-
 
 class Corner:
     """W_i of [W, V; Vᵀ, P] ⪰ 0, in blocks: W_11 with its factor, Q = W_11⁻¹ W_12, S = W_22 − W_21 Q.
@@ -157,8 +140,14 @@ class LinearMap:
         P, Y, t = self.parts(v)
         x = np.zeros(self.blocks.size)
         places = self.blocks.parts(x)
-        for side, place in zip(self.sides, places, strict=False):
-            side.add(place, P, Y, t)
+        for side, out in zip(self.sides, places, strict=False):
+            if side.L is not None:
+                rows = side.L.reshape(-1, self.n) @ P
+                out += symmetric_part(_times(rows.reshape(side.L.shape), side.R))
+            if side.M is not None:
+                out += symmetric_part(_times(side.M @ Y, side.N))
+            if side.T is not None:
+                out += t * side.T
         if self.V is not None:
             places[-1][0, : self.W.n, : self.W.n] = -self.W.matrix(v[self.main :])
             places[-1][0, self.W.n :, self.W.n :] = -P
@@ -181,7 +170,11 @@ class LinearMap:
 
     def _add_adjoint(self, result: Array, side: Side, Z: Array) -> None:
         if side.L is not None:
-            result[: self.P.size] += 2 * self.P.row(side.of_P(Z))
+            if side.R is None and len(side.L) == len(Z):
+                half = Z.reshape(-1, Z.shape[2]).T @ side.L.reshape(-1, self.n)
+            else:
+                half = _front(side.R, _both(Z, side.L, side.R)).sum(axis=0)
+            result[: self.P.size] += 2 * self.P.row(half)
         if side.M is not None:
             half = _front(side.N, _both(Z, side.M, side.N)).sum(axis=0).T
             result[self.P.size : self.main - 1] += 2 * half.ravel()

@@ -221,23 +221,17 @@ class _Sought:
 
     def at(self, rate: float) -> tuple[float, tuple[Array, Array]] | None:
         """Return the rate that is shown, at least this one, with P and N_i that do; None if none is found."""
-        cells, free = len(self.lifts), self.nothing.shape[1]
-        G = np.zeros((cells + 2, self.size, 1 + self.size + cells * free))
-        G[:, :, 0] = self.one
-        G[1, :, 0] = 0.0
-        eye = np.eye(self.size)
-        G[:, :, 1 : 1 + self.size] = [-eye, eye, *(of_P + self.d * rate * self.of_P for of_P in self.maps)]
-        for k in range(cells):
-            G[2 + k, :, 1 + self.size + k * free : 1 + self.size + (k + 1) * free] = self.nothing
-        h = np.zeros((cells + 2, self.size))
-        h[1] = self.one
-        cost = np.zeros(G.shape[2])
-        cost[0] = -1.0
-        x = semidefinite(cost, list(zip(G, h, strict=True)))
+        cells, free = np.eye(len(self.lifts)), self.nothing.shape[1]
+        one, eye, none = self.one[:, None], np.eye(self.size), np.zeros((self.size, len(cells) * free))
+        blocks = [(np.hstack([one, -eye, none]), 0 * self.one), (np.hstack([0 * one, eye, none]), self.one)]
+        for of_P, unit in zip(self.maps, cells, strict=True):
+            falls = np.hstack([one, of_P + self.d * rate * self.of_P, np.kron(unit, self.nothing)])
+            blocks.append((falls, 0 * self.one))
+        x = semidefinite(-np.eye(1, 1 + self.size + len(cells) * free)[0], blocks)
         if x is None:
             return None
         P = symmetric_of(x[1 : 1 + self.size], self.order)
-        y = x[1 + self.size :].reshape(cells, free)
+        y = x[1 + self.size :].reshape(len(cells), free)
         N = symmetric_of((self.nothing @ y.T).T, self.order)
         return self._shown(P, N, rate)
 
@@ -298,10 +292,11 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
     monomials, T = found.monomials, BallMatrix.of(found.T)
     weights = monomials.weights
     short = Packed.of(found.P * weights[:, None] * weights)
-    numbers = _numbers(found, [role.oriented(M_i.floats) for M_i in M])
-    if numbers is None or not is_positive_definite(short.P):
+    at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
+    places = [at.get((role.oriented(M_i.floats) + 0.0).tobytes(), -1) for M_i in M]
+    if -1 in places or not is_positive_definite(short.P):
         return None
-    N, N_exponents = _rounded(numbers * weights[:, None] * weights, short.exponents, monomials)
+    N, N_exponents = _rounded(found.N[places] * weights[:, None] * weights, short.exponents, monomials)
     left = list[Rational]()
     for M_i, N_i in zip(M, N, strict=True):
         lift = monomials.exactly(T @ role.exact(M_i) @ T.inverse())
@@ -312,12 +307,6 @@ def prove_polynomial(role: Role, M: Sequence[BallMatrix], found: PolynomialLyapu
     return PolynomialProof(
         role=role, degree=found.degree, T=found.T, N=N, N_exponents=N_exponents, rate=rate, **short.parts
     )
-
-
-def _numbers(found: PolynomialLyapunov, A: Sequence[Array]) -> Array | None:
-    at = {A_i.tobytes(): k for k, A_i in enumerate(found.A + 0.0)}
-    places = [at.get((A_i + 0.0).tobytes(), -1) for A_i in A]
-    return None if -1 in places else np.asarray(found.N[places])
 
 
 def _rounded(N: Array, exponents: Sequence[int], monomials: Monomials) -> tuple[tuple[Whole, ...], tuple[int, ...]]:

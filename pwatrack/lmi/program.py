@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -100,32 +99,21 @@ class Solution:
         """
         if self.multipliers is None:
             return -np.inf
-        constants = zip(self.multipliers, self.program.constraints, strict=True)
-        total = sum(float((Z * c.constant).sum()) for Z, c in constants)
-        total -= sum(float(y) * value for y, (_, value) in zip(self._prices, self.program.equalities, strict=True))
+        pairs, equalities = [*zip(self.multipliers, self.program.constraints, strict=True)], self.program.equalities
+        G = np.sum([c.adjoint(Z)[0] for Z, c in pairs], axis=0)
+        columns = np.array([E.ravel() for E, _ in equalities]).reshape(-1, self.program.n**2).T
+        prices = np.linalg.lstsq(columns, -(G + self.program.slope).ravel())[0]  # that leave the least of the gradient
+        total = sum(float((Z * c.constant).sum()) for Z, c in pairs)
+        total -= sum(float(y) * value for y, (_, value) in zip(prices, equalities, strict=True))
         if self.program.weight is not None:
             V = self.program.weight
-            total += 2 * float(np.sqrt(np.maximum(np.linalg.eigvalsh(V @ self._adjoint[0] @ V.T), 0.0)).sum())
+            total += 2 * float(np.sqrt(np.maximum(np.linalg.eigvalsh(V @ G @ V.T), 0.0)).sum())
         return total
 
     @property
     def gap(self) -> float:
         """Between the objective and its bound; infinite where there is none."""
         return self.objective - self.bound
-
-    @cached_property
-    def _adjoint(self) -> tuple[Array, Array, float]:
-        """What the multipliers make of P, Y and t."""
-        pairs = zip(self.multipliers or (), self.program.constraints, strict=True)
-        P, Y, t = zip(*(c.adjoint(Z) for Z, c in pairs), strict=True)
-        return np.sum(P, axis=0), np.sum(Y, axis=0), float(sum(t))
-
-    @property
-    def _prices(self) -> Array:
-        """The multipliers of the equalities: those that leave the least of the gradient."""
-        columns = np.array([E.ravel() for E, _ in self.program.equalities]).reshape(-1, self.program.n**2).T
-        rest = self._adjoint[0] + self.program.slope
-        return np.asarray(np.linalg.lstsq(columns, -rest.ravel())[0])
 
 
 def largest_margin(inequality: Inequality, most: float | None = None, *, any_sign: bool = False) -> SemidefiniteProgram:

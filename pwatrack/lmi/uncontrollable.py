@@ -16,7 +16,7 @@ where |C F(x)| + |I − C J| r + |C| q r² ≤ r in every row: there it has a fi
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations, islice
 from typing import Any
@@ -119,10 +119,6 @@ class Between:
     eigenvalue: Fraction  # μ, likewise; with the rate that was asked added to A
     inverse: Array  # C (n, n)
     radius: Fraction  # r
-
-    def of(self, places: Sequence[int]) -> "Between":
-        """Return the same with other numbers of the cells, by the ones they have."""
-        return replace(self, weights={places[i]: share for i, share in self.weights.items()})
 
     @property
     def content(self) -> dict[str, Any]:
