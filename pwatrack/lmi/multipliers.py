@@ -95,20 +95,26 @@ class _Faces:
         """Orthonormal columns of the same spans, (n, k_i)."""
         return [np.linalg.qr(floats(N_i).T)[0] for N_i in self.N]
 
+    def turn(self, i: int) -> Array:
+        """Return T with N_iᵀ T the basis, (k_i, k_i)."""
+        return np.asarray(np.linalg.lstsq(floats(self.N[i]).T, self.bases[i], rcond=None)[0], dtype=np.float64)
+
     def sought(self, cells: Sequence[int], gap: float) -> list[Array] | None:
         """Return what `sought` does for some cells."""
         return sought(self.A[cells], [self.bases[i] for i in cells], floats(self.R), gap=gap)
 
     def proved(self, cells: Sequence[int]) -> dict[int, Rational] | None:
-        """Return multipliers for some cells that are proved, by cell, or None."""
-        inside = self.sought(cells, INSIDE)
-        if inside is None:
+        """Return multipliers for some cells, rounded to Σ (Z_i A_i + A_iᵀ Z_i) R = 0, if they are proved, by cell."""
+        U = self.sought(cells, INSIDE)
+        if U is None:
             return None
-        A, N, bases = ([of[i] for i in cells] for of in (self.exact_A, self.N, self.bases))
-        Z = _exact(A, N, bases, self.R, inside)
-        if Z is None or not refutes(A, self.B, dict(enumerate(Z)), kernel=self.R):
+        A, N = [self.exact_A[i] for i in cells], [self.N[i] for i in cells]
+        V = [rounded(T @ U_i @ T.T) for T, U_i in zip(map(self.turn, cells), U, strict=True)]
+        if self.R.ncols() and not _mended(V, A, N, self.R):
             return None
-        return dict(zip(cells, Z, strict=True))
+        scale = _denominator(V)  # whole numbers are multiplied much faster
+        Z = {i: N_i.transpose() * (V_i * scale) * N_i for i, N_i, V_i in zip(cells, N, V, strict=True)}
+        return Z if refutes(self.exact_A, self.B, Z, kernel=self.R) else None
 
     def smaller(self, U: Mapping[int, Array]) -> "_Faces":
         """Return smaller faces, and more of R, read off a marginal solution; whether they are right shows later.
@@ -118,9 +124,8 @@ class _Faces:
         smaller, S = list(self.N), np.zeros(self.A.shape[1:])
         for i, U_i in U.items():
             values, vectors = np.linalg.eigh(U_i)
-            T = np.linalg.lstsq(floats(self.N[i]).T, self.bases[i], rcond=None)[0]
             seen = vectors[:, values > _SINGULAR * values[-1]]
-            smaller[i] = _simple_span(T @ seen).transpose() * self.N[i]
+            smaller[i] = _simple_span(self.turn(i) @ seen).transpose() * self.N[i]
             ZA = self.bases[i] @ U_i @ self.bases[i].T @ self.A[i]
             S += ZA + ZA.T
         values, vectors = np.linalg.eigh(S)
@@ -250,20 +255,6 @@ def _simple_span(columns: Array) -> Rational:
     basis = columns @ np.linalg.inv(columns[rows])
     fractions = [[Fraction(v).limit_denominator(_SIMPLE) for v in row] for row in basis.tolist()]
     return rational(fractions, columns.shape)
-
-
-def _exact(
-    A: Sequence[Rational], N: Sequence[Rational], bases: Sequence[Array], R: Rational, U: Sequence[Array]
-) -> list[Rational] | None:
-    """Round Z_i = Q_i U_i Q_iᵀ to rationals N_iᵀ V_i N_i that fulfil Σ (Z_i A_i + A_iᵀ Z_i) R = 0 exactly."""
-    V = []
-    for N_i, Q, U_i in zip(N, bases, U, strict=True):
-        T = np.linalg.lstsq(floats(N_i).T, Q, rcond=None)[0]
-        V.append(rounded(T @ U_i @ T.T))
-    if R.ncols() and not _mended(V, A, N, R):
-        return None
-    scale = _denominator(V)  # whole numbers are multiplied much faster
-    return [N_i.transpose() * (V_i * scale) * N_i for N_i, V_i in zip(N, V, strict=True)]
 
 
 def _mended(V: Sequence[Rational], A: Sequence[Rational], N: Sequence[Rational], R: Rational) -> bool:
