@@ -17,8 +17,7 @@ Where an input may change by so much at a tick only, it is first a mean of D_j z
 Of a loop on which something acts, the same is true of what is left of z once the response to that is taken off, the one
 of the loop without limits along the same switching from 0 on: where that takes β_j of ū_j at most, ū_j − β_j is left.
 
-H is given here: then all is linear in P. It is looked for as if samples were short, see `saturated`. In the inverse of
-P, in which H may be sought too, forms that are linear in time lose by what is held, however short a sample is.
+H is given here: then all is linear in P. It is looked for as if samples were short, see `saturated`.
 """
 
 from collections.abc import Sequence

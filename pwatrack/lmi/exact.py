@@ -1,8 +1,7 @@
 """What a solver proposes, decided: proof that a P works, in floating point or exactly.
 
-In NumPy with a bound on every rounding error: an eigenvalue counts as positive only where it exceeds that bound.
-Exactly with a whole-number P and decimals as printed, positive definiteness decided by balls: `audit` checks the same
-claim again with another method; the two share no code.
+In NumPy an eigenvalue counts as positive where it exceeds a bound on all rounding errors. Exactly P is in whole
+numbers, and definite by balls: `audit` checks the same claim again with another method; the two share no code.
 """
 
 from collections.abc import Sequence

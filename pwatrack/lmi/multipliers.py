@@ -100,7 +100,6 @@ class _Faces:
         return np.asarray(np.linalg.lstsq(floats(self.N[i]).T, self.bases[i], rcond=None)[0], dtype=np.float64)
 
     def sought(self, cells: Sequence[int], gap: float) -> list[Array] | None:
-        """Return what `sought` does for some cells."""
         return sought(self.A[cells], [self.bases[i] for i in cells], floats(self.R), gap=gap)
 
     def proved(self, cells: Sequence[int]) -> dict[int, Rational] | None:

@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.exact import Proof, unsure
-from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.rational import (
     Rational,
     diagonal,
@@ -106,6 +106,7 @@ class Gauge:
         Example: (e₁² + e₂²)² measures as the length does.
 
             >>> from pwatrack.lmi.inequality import OBSERVER
+            >>> from pwatrack.lmi.polynomial import PolynomialProof
             >>> P = ((2**39, 0, 0), (0, 2**40, 0), (0, 0, 2**39))
             >>> proof = PolynomialProof(role=OBSERVER, degree=4, T=np.eye(2), integers=P, exponents=(0, 0, 0), N=(),
             ...     N_exponents=(), rate=1.0)
@@ -116,7 +117,13 @@ class Gauge:
         if isinstance(proof, Proof):
             norm = Norm.of(proof)
             return cls(above=norm, below=norm, driven=norm)
-        d, (low, high) = proof.degree // 2, _limits(proof)
+        d, monomials, P = proof.degree // 2, proof.monomials, proof.P
+        scale = 1 / monomials.weights
+        values = np.linalg.eigvalsh(floats(P) * scale[:, None] * scale)
+        length = diagonal([Fraction(square) for square in monomials.squares])
+        least, most = float(max(values[0], _LEAST * values[-1])) * (1 - 1e-6), float(values[-1]) * (1 + 1e-6)
+        low = _until(least, 0.5, lambda low: is_positive_definite(P - length * number(Fraction(low))))
+        high = _until(most, 2.0, lambda high: is_positive_definite(length * number(Fraction(high)) - P))
         T = BallMatrix.of(proof.T).centre
         square = T.transpose() * T
         return cls(
@@ -162,19 +169,6 @@ def largest_share(slack: Sequence[Rational], U: BallMatrix, V: BallMatrix, gain:
             return share
         share *= 0.9
     return 0.0
-
-
-def _limits(proof: PolynomialProof) -> tuple[float, float]:
-    """Return λ and Λ with λ |z|^2d ≤ mᵀ P m ≤ Λ |z|^2d, proved exactly."""
-    monomials, P = proof.monomials, proof.P
-    scale = 1 / monomials.weights
-    values = np.linalg.eigvalsh(floats(P) * scale[:, None] * scale)
-    length = diagonal([Fraction(square) for square in monomials.squares])
-    least, most = float(max(values[0], _LEAST * values[-1])) * (1 - 1e-6), float(values[-1]) * (1 + 1e-6)
-    return (
-        _until(least, 0.5, lambda low: is_positive_definite(P - length * number(Fraction(low)))),
-        _until(most, 2.0, lambda high: is_positive_definite(length * number(Fraction(high)) - P)),
-    )
 
 
 def _estimate(size: Rational, Q: Rational) -> float:

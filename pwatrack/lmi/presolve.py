@@ -1,14 +1,9 @@
 """What is done to a problem before a solver sees it: cells that say nothing of their own leave it, coordinates fit it.
 
 The inequalities are affine in A_i: what holds at A_1 and A_2 holds between them. So only the corners of the convex hull
-of the cells are solved for. Proofs are about every cell.
-
-A solver is most exact where all matrices, and P, have size 1.
-
-Where modes are nearly out of reach T of `Coordinates` is ill-conditioned, and T⁻¹ A T keeps only the digits that its
-condition leaves: whether a solver then finds anything is a matter of rounding, which differs from one processor to the
-next. For `Precise` T is worked out with balls, of which only the middle is kept: what follows is the same everywhere,
-and in these coordinates doubles do again. None of it is believed before it is proved.
+of the cells are solved for. A solver is most exact where all matrices, and P, have size 1. Where modes are nearly out
+of reach T of `Coordinates` is ill-conditioned: for `Precise` it is worked out with balls, of which only the middle is
+kept, and doubles do again, the same on every processor. Proofs are about every cell.
 """
 
 import warnings

@@ -123,7 +123,6 @@ def least(linear: LinearMap, *, gap: float, against: float | None = None, near: 
 
 
 def _map(program: SemidefiniteProgram) -> LinearMap:
-    """Return the quicker of the two forms of the linear map."""
     linear, cells = LinearMap(program), sum(len(c.constant) for c in program.constraints)
     size, order = linear.size, max(N for _, N in linear.blocks.shapes)
     return DenseMap(program) if cells * size * order**2 * (2 * order + size) <= _DENSE else linear
@@ -230,8 +229,7 @@ def _continued(linear: LinearMap, last: Solution) -> _Iterate | None:
     """Return a start of this program near the end of another one; None where it does not fit.
 
     With the slacks S that its P, Y and t have here, and its multipliers Z, it is the S' and Z' with S' − ρ Z' = S − ρ Z
-    and S' Z' = μ I: both commute, so one eigenvalue problem each has them. What is far from the boundary stays where it
-    was, and μ is as large as the change from one program to the other asks for.
+    and S' Z' = μ I, one eigenvalue problem each. μ is as large as the change from one program to the other asks for.
     """
     shapes = [c.constant.shape for c in last.program.constraints]
     if last.multipliers is None or shapes != [part.shape for part in linear.blocks.parts(linear.constant)]:
@@ -274,10 +272,7 @@ class _Step:
     def corrected(self, mu: float, least: float) -> tuple[_Move, tuple[float, float]]:
         """Return a direction towards a smaller μ, at least so large, and how far S and Z may go.
 
-        It is Mehrotra's, with its second-order term made again.
-
-        That term is first taken from the direction to μ = 0, and then from the direction that it led to, as long as
-        steps grow longer by it.
+        It is Mehrotra's; its second-order term is made again from where it led to, as long as steps grow longer by it.
         """
         nowhere = [-x.d[:, :, None] * np.eye(x.d.shape[1]) for x in self.scalings]
         first = self.towards(nowhere, self.rest.pull if self.exact else None)
@@ -362,5 +357,4 @@ class _Step:
 
 
 def _diagonal(X: Array) -> Array:
-    """Return a view of the diagonals of a stack."""
     return np.asarray(np.einsum("ijj->ij", X))
