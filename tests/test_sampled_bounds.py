@@ -203,7 +203,7 @@ def test_a_tube_together_is_in_the_certificate(
     said, faults = audit(json.dumps(content))
     assert not faults
     assert "the sampled loop: what 5 disturbances, noises and inputs leave is proved" in said
-    (told,) = SampledBounds.read(content, together, asking(spec, together, claim.errors.gains))
+    (told,) = SampledBounds.prove(together, asking(spec, together, claim.errors.gains), content)
     assert told.data(together) == claim.data(together)
     assert told.ends_below(together) == claim.ends_below(together)
     acts = content["sampled_bounds"][0]["acts"]
@@ -698,7 +698,7 @@ def test_tubes_are_in_the_certificate_and_read_again(
     said, faults = audit(json.dumps(content))
     assert not faults
     assert "the sampled loop: what 5 disturbances, noises and inputs leave is proved" in said
-    (told,) = SampledBounds.read(content, controller, asking(spec, controller, claim.errors.gains))
+    (told,) = SampledBounds.prove(controller, asking(spec, controller, claim.errors.gains), content)
     assert told.data(controller) == claim.data(controller)
     assert told.figures(spec.words, controller) == claim.figures(spec.words, controller)
 
@@ -874,7 +874,7 @@ def test_what_is_merged_is_in_the_certificate_of_the_sampled_loop(merged: tuple[
     assert not faults
     channels = len({*the_bounds(controller).tubes} - {("start", 0)})
     assert f"the sampled loop: what {channels} disturbances, noises and inputs leave is proved" in said
-    (told,) = SampledBounds.read(content, controller, asking(spec, controller, the_bounds(controller).errors.gains))
+    (told,) = SampledBounds.prove(controller, asking(spec, controller, the_bounds(controller).errors.gains), content)
     assert told.data(controller) == the_bounds(controller).data(controller)
     number = [entry["acts"][0]["channel"][0] for entry in content["sampled_bounds"]].index("deviation")
     for forged in (["deviation", 1], ["disturbance", 0]):

@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array
+from pwatrack.ball_matrix import zero
 from pwatrack.claims.exact_text import bounds_content, read_bounds
 from pwatrack.control.bounds import Bounds, Channel, Form, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.words import Words
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.inequality import Solver
@@ -48,17 +49,14 @@ class SignalBounds(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"bounds": []}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SignalBounds"]:
         """Yield the bounds, which are searched for when they are looked at first: they take longer than the design."""
-        yield cls(loops=loops_of(controller, _limited(asked)), solver=asked.solver)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
-        loops = loops_of(controller, _limited(asked))
-        found = {bounds.channel: bounds for bounds in map(read_bounds, content["bounds"])}
-        acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
-        starts = tuple(_with_peaks(loops, ("start", group[0]), found) for group in loops.starts)
-        yield cls(loops=loops, known=(acting, starts))
+        loops, known = loops_of(controller, () if asked.signals is None else asked.signals.forms), None
+        if told is not None:
+            found = {bounds.channel: bounds for bounds in map(read_bounds, told["bounds"])}
+            acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
+            known = acting, tuple(_with_peaks(loops, ("start", group[0]), found) for group in loops.starts)
+        yield cls(loops=loops, solver=asked.solver, known=known)
 
     @cached_property
     def both(self) -> _Pair:
@@ -190,14 +188,13 @@ def in_ellipsoid(Q: Packed, z: Array) -> float:
     return root_above((column.transpose() * Q.P.solve(column))[0, 0])
 
 
-def _limited(asked: Asked) -> Sequence[Form]:
-    return () if asked.signals is None else asked.signals.forms
+def loops_of(controller: ProvedController, limited: Sequence[Form] = (), *, unmoved: bool = False) -> Loops:
+    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded.
 
-
-def loops_of(controller: ProvedController, limited: Sequence[Form] = ()) -> Loops:
-    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded."""
-    K, L = controller.design.exact
-    X, output = controller.compensation.X, controller.tracking == "output"
+    With `unmoved` they are for rows of (e, Δ) where estimates of loads do not move x_d.
+    """
+    (K, L), X = controller.design.exact, controller.compensation.X
+    X, output = zero(*X.shape) if unmoved else X, controller.tracking == "output"
     return Loops(controller.plant, K, L, controller.proofs, X, output=output, limited=limited)
 
 

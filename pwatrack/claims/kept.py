@@ -5,7 +5,7 @@ c x = c x_d + c e. The reference takes its part of the limits, enclosed; what di
 solution the error is linear in all of these together, so what is left after the first two is for the third.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
-from pwatrack.claims.limits import WITHOUT, StartGuarantee, known_before, promises
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.claims.limits import WITHOUT, StartGuarantee, promises
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import SignalRoom
 from pwatrack.control.words import Words, down
 
@@ -40,15 +40,10 @@ class KeptLimits(Claim):
     statement: ClassVar[str] = "Under limits too: of signals of x, how far from x_d they may be at any time, likewise."
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["KeptLimits"]:
         """Yield what is proved of the limits of outputs and states, where there are some."""
         if (signals := asked.signals) is not None:
-            yield _found(controller, signals, None)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
-        if (signals := asked.signals) is not None:
-            yield _found(controller, signals, content)
+            yield _found(controller, signals, told)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
@@ -134,7 +129,7 @@ def _between(low: float, high: float) -> str:
     return f"at least {number_text(low, 'g')}" if np.isfinite(low) else f"at most {number_text(high, 'g')}"
 
 
-def _found(controller: ProvedController, signals: SignalRoom, content: Mapping[str, Any] | None) -> KeptLimits:
+def _found(controller: ProvedController, signals: SignalRoom, told: Told) -> KeptLimits:
     """Return what is known, searched for where there is no certificate."""
     room, missing = signals.room, ""
     if controller.running is not controller.plant:
@@ -148,8 +143,7 @@ def _found(controller: ProvedController, signals: SignalRoom, content: Mapping[s
     claim = KeptLimits(signals=signals, taken=_taken(controller, signals))
     if claim.left is None:
         return KeptLimits(signals=signals, taken=claim.taken, missing="what disturbs may take all that is left")
-    starts, known = (room.starts, None) if content is None else known_before(content, room.starts, "state")
-    found = promises(controller, claim.left, starts, known, forms=signals.forms)
+    found = promises(controller, claim.left, room.starts, told, forms=signals.forms)
     return KeptLimits(signals=signals, taken=claim.taken, promises=found)
 
 

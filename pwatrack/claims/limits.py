@@ -11,7 +11,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.ball_matrix import BallMatrix, above, zero
+from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import (
     CLOSE,
     decimal,
@@ -25,7 +26,7 @@ from pwatrack.claims.exact_text import (
 )
 from pwatrack.control.bounds import Form, Loop, Loops
 from pwatrack.control.compensation import Compensation
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.clocked_region import ClockedRegion
@@ -58,6 +59,10 @@ class StartGuarantee:
     forms: tuple[Form, ...] = ()
     before: Array | None = None
 
+    @property
+    def _sizes(self) -> tuple[float, ...]:
+        return self.held.sizes if self.held else (0.0,) * len(self.inputs)
+
     def scale(self, left: Array) -> float:
         """Return how many times as large a start may be, so that each |u − u_ff| ≤ left, (m,); rounded down."""
         return min(self._ratios(left).values(), default=np.inf) * (1 - 1e-12)
@@ -69,8 +74,7 @@ class StartGuarantee:
 
     def _ratios(self, left: Array) -> dict[int, float]:
         """Return what is left of each of them that is moved, over what the starts make of it."""
-        sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
-        moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
+        moved = (size + load for size, load in zip(self._sizes, self.loads, strict=True))
         return {k: float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size}
 
     def outline(self, left: Array, plane: Sequence[int], directions: Array) -> Array | None:
@@ -106,12 +110,11 @@ class StartGuarantee:
 
     def figures(self, left: Array, names: Sequence[str]) -> dict[str, Any]:
         """Return the same as figures."""
-        scale, sizes = self.scale(left), self.held.sizes if self.held else [0.0] * len(self.inputs)
-        of = [names[k] for k in self.inputs]
+        scale, of = self.scale(left), [names[k] for k in self.inputs]
         return {
             "starts": self.starts.kind,
             "scale": float(scale) if np.isfinite(scale) else None,
-            "inputs": dict(zip(of, sizes, strict=True)),
+            "inputs": dict(zip(of, self._sizes, strict=True)),
             "loads": dict(zip(of, self.loads, strict=True)),
         }
 
@@ -158,15 +161,12 @@ class NoSaturation(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"limits": []}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["NoSaturation"]:
         """Yield what is known of limits where there are some; of starts only where nothing else acts."""
         if (room := asked.room) is not None:
-            yield _found(controller, room, room.starts)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
-        if (room := asked.room) is not None:
-            yield _found(controller, room, *known_before(content, room.starts, "input"))
+            alone = controller.running is controller.plant  # else what is merged acts too
+            found = promises(controller, room.left, room.starts, told) if alone and room.left is not None else ()
+            yield cls(room=room, promises=found)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
@@ -202,9 +202,7 @@ class NoSaturation(Claim):
                 continue
             takes = f"its feedforward takes {_range(room.peak, k, unit)}{idle}"
             if any(input_ == k for input_, _ in room.peak.beyond(room.limits)):
-                after = (
-                    "" if room.lasting is None else f"; once that start is forgotten {_range(room.lasting, k, unit)}"
-                )
+                after = f"; once that start is forgotten {_range(room.lasting, k, unit)}" if room.lasting else ""
                 yield f"{said}: {takes}, more than that, from where the generator starts{after}"
             else:
                 over = float(room.peak.left(room.limits)[k])
@@ -232,17 +230,6 @@ class NoSaturation(Claim):
         return any(promise.of_this_run(self.room.left) for promise in self.promises)
 
 
-def _found(
-    controller: ProvedController,
-    room: Headroom,
-    starts: Sequence[Starts],
-    known: Mapping[str, StartEllipsoid] | None = None,
-) -> NoSaturation:
-    alone = controller.running is controller.plant  # else what is merged acts too
-    proved = promises(controller, room.left, starts, known) if alone and room.left is not None else ()
-    return NoSaturation(room=room, promises=proved)
-
-
 def ideal(controller: ProvedController) -> str:
     """Return what the loop of the theorems is without, and that no limit is reached from the start of the run."""
     if any(claim.from_this_start for claim in controller.claims_of(NoSaturation)):
@@ -254,7 +241,7 @@ def promises(
     controller: ProvedController,
     left: Array,
     starts: Sequence[Starts],
-    known: Mapping[str, StartEllipsoid] | None = None,
+    told: Told = None,
     forms: tuple[Form, ...] = (),
 ) -> tuple[StartGuarantee, ...]:
     """Prove from which starts inputs stay near their feedforward, or forms near x_d; what is not proved is not there.
@@ -268,13 +255,15 @@ def promises(
     Args:
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
-        known: What was proved of starts before, by their kind: then nothing is searched.
+        told: A certificate: then nothing is searched.
         forms: Signals of x − x_d; `left` is about these then.
     """
-    loops, p = loops_of(controller), len(controller.L) - len(controller.plant.B)
+    loops, p = loops_of(controller, unmoved=True), len(controller.L) - len(controller.plant.B)
     off = taken_off(controller.compensation, loops.at_inputs)
     inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[StartGuarantee]()
-    for one in starts:
+    entries = [] if told is None else told["limits"]
+    known = {one["of"]: one for one in entries if (one["signals"][0][0] not in ("input", "drive")) == bool(forms)}
+    for one in starts if told is None else [nearby(one, known) for one in starts]:
         loop: Loop = "controller" if one.delta is None else "joint"
         if loop not in loops.M or (p and one.delta is not None and (one.load is None or not off)):
             continue
@@ -286,20 +275,15 @@ def promises(
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
             continue
-        if known is not None:
-            found += [replace(promise, held=known[one.kind])] if one.kind in known else []
+        if told is not None:
+            if (entry := known.get(one.kind)) is not None:
+                held_before = StartEllipsoid(**whole(entry["Q"]), **read_sizes(entry))
+                found.append(replace(promise, held=held_before))
             continue
         tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
         best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
         found += [best] if best else []
     return tuple(found)
-
-
-def loops_of(controller: ProvedController) -> Loops:
-    """Return the loops of a controller where estimates of loads do not move x_d."""
-    plant, (K, L) = controller.plant, controller.design.exact
-    n, p = len(plant.B), L.shape[0] - len(plant.B)
-    return Loops(plant, K, L, controller.proofs, zero(n, p), output=False)
 
 
 def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
@@ -319,19 +303,6 @@ def read_sizes(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return the weights of starts, and the sizes, that a certificate holds."""
     sizes = tuple(size for _, size in read_signals(entry["signals"]))
     return {"weights": tuple(map(double, entry["weights"])), "sizes": sizes}
-
-
-def known_before(
-    content: Mapping[str, Any], starts: Sequence[Starts], of: Literal["input", "state"]
-) -> tuple[list[Starts], dict[str, StartEllipsoid]]:
-    """Return starts as a certificate has them, and what it proves of them, of inputs or of signals of x."""
-    entries = {
-        entry["of"]: entry
-        for entry in content["limits"]
-        if (entry["signals"][0][0] in ("input", "drive")) == (of == "input")
-    }
-    known = {kind: StartEllipsoid(**whole(entry["Q"]), **read_sizes(entry)) for kind, entry in entries.items()}
-    return [nearby(one, entries) for one in starts], known
 
 
 def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:

@@ -29,7 +29,7 @@ from pwatrack.claims.exact_text import (
 )
 from pwatrack.claims.limits import ideal
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
@@ -67,16 +67,14 @@ class Practical(Claim):
     beside: ClassVar[str] = "what is merged"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        """Yield nothing: what is merged is chosen where exact tracking is refused, see `workflow.simplified`."""
-        yield from ()
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Practical"]:
+        """Yield what a certificate tells: what is merged is chosen where exact tracking is refused.
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        told = content["practical"]
-        if told is not None:
-            bounds, plant = tuple(read_bounds(entry) for entry in told["bounds"]), controller.running
-            ways = merged_ways(told["merged"], plant)
+        See `workflow.simplified`.
+        """
+        if told is not None and (content := told["practical"]) is not None:
+            bounds, plant = tuple(map(read_bounds, content["bounds"])), controller.running
+            ways = merged_ways(content["merged"], plant)
             yield cls(plant=plant, merges=ways, replaced=(), evidence=None, bounds=bounds)
 
     @cached_property

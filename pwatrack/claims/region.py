@@ -5,6 +5,7 @@ the input as it is limited, so Δ is untouched. From every start it is enough th
 with H = 0: by (9) Δ goes to 0 exponentially, and e is driven by it linearly.
 """
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -13,19 +14,19 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import above, places, zero
+from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import decimal_texts, doubles, packed, proof_content, read_proof, whole
 from pwatrack.claims.limits import (
     NoSaturation,
     StartGuarantee,
     drive_rows,
     loads_at,
-    loops_of,
     nearby,
     read_sizes,
     taken_off,
 )
 from pwatrack.control.bounds import Loop, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.vertices import outermost
 from pwatrack.control.words import Words, down, matrix_text
@@ -51,6 +52,30 @@ class RegionClaim(Claim):
     found: tuple[StartGuarantee, ...] = ()
     missing: str = ""
 
+    KEY: ClassVar[str]  # of run.json
+    LABEL: ClassVar[str]
+
+    @abstractmethod
+    def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
+        """Say what a guarantee is, of starts that are told in words."""
+
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
+        left, inputs = self.left, words.plant.inputs
+        names = [*inputs, *(f"change of {name}" for name in inputs)]
+        said = [] if left is None else [one.figures(left, names) for one in self.found]
+        return {self.KEY: {"starts": said, "missing": self.missing}}
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        left, found = self.left, () if self.left is None else self.found
+        if left is None or not found:
+            yield self.LABEL, f"not proved: {self.missing}"
+            return
+        for k, one in enumerate(found):
+            starts = one.said(left, loads=controller.plant.loads is not None)
+            if one.starts.kind == "every":
+                starts = f"every start{_with_loads(self.room, words, controller, one)}"
+            yield "" if k else self.LABEL, self.said(starts, one, words)
+
     @property
     def left(self) -> Array | None:
         """How far each input may be from its feedforward, (m,)."""
@@ -74,12 +99,6 @@ class RegionClaim(Claim):
         whole = any(exact or one.starts.delta is not None for one in every)
         return (bears and whole) or any(one.of_this_run(left) for one in self.found)
 
-    def starts_said(self, left: Array, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
-        """Say of which starts a guarantee is, where each input may be so far from its feedforward, (m,)."""
-        if one.starts.kind == "every":
-            return f"every start{_with_loads(self.room, words, controller, one)}"
-        return one.said(left, loads=controller.plant.loads is not None)
-
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedRegion(RegionClaim):
@@ -97,27 +116,21 @@ class LimitedRegion(RegionClaim):
         "d, V(starts v) <= the sum of weights_a v^2a <= 1, v^a the monomials of degree d, and (H z)^2d <= sizes^2d V."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"regions": []}
+    KEY: ClassVar[str] = "limits_active"
+    LABEL: ClassVar[str] = "limits active"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["LimitedRegion"]:
         """Yield the starts for which it is proved, or why there are none, where inputs have limits."""
-        room = asked.room
-        if room is not None:
+        if (room := asked.room) is not None:
             missing = _beyond(controller, room)
-            found = () if missing else regions(controller, room)
+            if missing or told is None:
+                found = () if missing else regions(controller, room)
+            else:
+                entries, loops = {entry["of"]: entry for entry in told["regions"]}, loops_of(controller, unmoved=True)
+                starts = [every(controller), *(nearby(one, entries) for one in room.starts)]
+                found = tuple(_of(loops, one, room, _read(entries[one.kind])) for one in starts if one.kind in entries)
             yield cls(room=room, found=found, missing=missing or _NOT_FOUND * (not found))
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
-        room, entries = asked.room, {entry["of"]: entry for entry in content["regions"]}
-        if room is None:
-            return
-        missing, found = _beyond(controller, room), list[StartGuarantee]()
-        starts = () if missing else (every(controller), *(nearby(one, entries) for one in room.starts))
-        for one in starts:
-            if (entry := entries.get(one.kind)) is not None:
-                found.append(_of(loops_of(controller), one, room, _read(entry)))
-        yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         cheaper = controller.design.cheaper
@@ -126,23 +139,18 @@ class LimitedRegion(RegionClaim):
         )
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        left, names, cheaper = self.left, words.plant.inputs, controller.design.cheaper
-        said = [] if left is None else [one.figures(left, names) for one in self.found]
-        smaller = None if cheaper is None else _smaller(controller, cheaper)
-        return {"limits_active": {"starts": said, "missing": self.missing, "K_smaller_by": smaller}}
+        smaller = _smaller(controller)
+        return {self.KEY: super().figures(words, controller)[self.KEY] | {"K_smaller_by": smaller}}
+
+    def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
+        starts += self.room.whatever_said(one.starts)
+        return f"in the loop as designed {self.goes} from {starts}, with inputs at their limits too"
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        left, label = self.left, "limits active"
-        if left is None or not self.found:
-            yield label, f"not proved: {self.missing}"
-            return
-        for one in self.found:
-            starts = self.starts_said(left, words, controller, one) + self.room.whatever_said(one.starts)
-            yield label, f"in the loop as designed {self.goes} from {starts}, with inputs at their limits too"
-            label = ""
-        cheaper = controller.design.cheaper
-        if cheaper is not None:
-            much = f"{_smaller(controller, cheaper):.2g} times smaller"
+        yield from super().rows(words, controller)
+        smaller, cheaper = _smaller(controller), controller.design.cheaper
+        if smaller is not None and cheaper is not None and self.found and self.left is not None:
+            much = f"{smaller:.2g} times smaller"
             yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
@@ -166,9 +174,10 @@ def _with_loads(room: Headroom, words: Words, controller: ProvedController, one:
     return f" and all constant loads at {' and at '.join(named)}" if named else ""
 
 
-def _smaller(controller: ProvedController, cheaper: Array) -> float:
-    """Return how many times as large as K the gain of least cost is, in sizes."""
-    return controller.sizes.norm(cheaper) / controller.sizes.norm(controller.K)
+def _smaller(controller: ProvedController) -> float | None:
+    """Return how many times as large as K the gain of least cost is, in sizes; None where K is that."""
+    sizes, cheaper = controller.sizes, controller.design.cheaper
+    return None if cheaper is None else sizes.norm(cheaper) / sizes.norm(controller.K)
 
 
 def nothing_left(room: Headroom) -> str:
@@ -191,7 +200,7 @@ def _beyond(controller: ProvedController, room: Headroom) -> str:
 
 def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarantee, ...]:
     """Prove from which starts errors go to 0 with limits active: from every one, or from multiples of those given."""
-    loops, inputs = loops_of(controller), room.inputs
+    loops, inputs = loops_of(controller, unmoved=True), room.inputs
     loop = _saturated(loops, "controller", inputs)
     held = loop.everywhere() if loop.work <= MOST_WORK else None
     if held is not None:
@@ -252,7 +261,7 @@ def _of(loops: Loops, starts: Starts, room: Headroom, held: AnyRegion) -> StartG
 def every(controller: ProvedController) -> Starts:
     """Return all starts, of Δ too where estimates of loads do not move x_d."""
     n, N = len(controller.plant.B), len(controller.L)
-    free = n == N or taken_off(controller.compensation, loops_of(controller).at_inputs)
+    free = n == N or taken_off(controller.compensation, loops_of(controller, unmoved=True).at_inputs)
     return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if free else None)
 
 

@@ -18,7 +18,7 @@ from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zer
 from pwatrack.claims.bounds import from_start, with_acting
 from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.vertices import Differences
@@ -52,19 +52,16 @@ class Robust(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"uncertain": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        if asked.box:
-            plant, output = controller.plant, controller.tracking == "output"
-            corners = asked.corners(plant)
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Robust"]:
+        if not asked.box:
+            return
+        plant, output = controller.plant, controller.tracking == "output"
+        corners = tuple(asked.corners(plant))
+        if told is None:
             yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        told = content["uncertain"]
-        if told is not None and asked.box:
-            plant, corners = controller.plant, tuple(asked.corners(controller.plant))
+        elif (content := told["uncertain"]) is not None:
             count = len(joint_matrices(plant.exact, corners, *controller.design.exact))
-            bounds = tuple(read_bounds(entry) for entry in told["bounds"])
+            bounds = tuple(map(read_bounds, content["bounds"]))
             yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:

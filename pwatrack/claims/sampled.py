@@ -12,7 +12,7 @@ from pwatrack.arrays import Array, amount, number_text, up
 from pwatrack.claims.decay import in_a_line
 from pwatrack.claims.exact_text import clocked_content, decimal, decimal_texts, double, doubles, read_clocked
 from pwatrack.claims.practical import Practical
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.estimated_loads import OnEstimates, refused
 from pwatrack.control.goal import AtLeast
 from pwatrack.control.sampled_error import SampledErrors
@@ -84,26 +84,19 @@ class SampledLoop(SampledClaim):
     nothing: ClassVar[Mapping[str, Any]] = {"sampled": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SampledLoop"]:
         """Yield the proof, or why there is none, where the loop is to be sampled."""
-        if asked.sampled is not None:
-            found = _proved(controller, _candidates(controller, asked, asked.sampled))
-            yield found if asked.room is None else replace(found, cheaper=_cheaper(controller, asked, found.gains))
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
-        told = content["sampled"]
-        if told is not None:
-            gains = _read_gains(told)
+        content = None if told is None else told["sampled"]
+        if content is not None:
+            gains = _read_gains(content)
             cheaper = None if asked.sampled is None else _cheaper(controller, asked, gains)
             merged = bool(controller.claims_of(Practical))
-            yield cls(gains=gains, proof=read_clocked(told), merged=merged, cheaper=cheaper)
+            yield cls(gains=gains, proof=read_clocked(content), merged=merged, cheaper=cheaper)
         elif asked.sampled is not None:
             tried = _candidates(controller, asked, asked.sampled)
-            gains = next(tried)
-            missing = _beyond(controller, gains)
-            gains = gains if missing else _steady(controller, gains, tried)
-            yield cls(gains=gains, proof=None, missing=missing or _NOT_FOUND)
+            found = _proved(controller, tried, search=told is None)
+            own = asked.room is not None and told is None
+            yield replace(found, cheaper=_cheaper(controller, asked, found.gains)) if own else found
 
     @property
     def runs_with(self) -> SampledGains:
@@ -223,11 +216,13 @@ def _cheaper(controller: ProvedController, asked: Asked, gains: SampledGains) ->
     return own[0].K if sought else None
 
 
-def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> SampledLoop:
+def _proved(controller: ProvedController, tried: Iterator[SampledGains], *, search: bool) -> SampledLoop:
     """Return a proof of the first gains that have one, with as many substeps as it needs; else some without."""
     first = next(tried)
     if missing := _beyond(controller, first):
         return SampledLoop(gains=first, proof=None, missing=missing)
+    if not search:
+        return SampledLoop(gains=_steady(controller, first, tried), proof=None, missing=_NOT_FOUND)
     design = controller.plant, controller.design.K, controller.design.L, controller.sizes
     estimates = on_estimates(controller)
     seen = list[SampledGains]()

@@ -29,7 +29,7 @@ from pwatrack.claims.sampled_start import from_start, of_this_start
 from pwatrack.claims.tube_search import KINDS, TubeSearch
 from pwatrack.claims.tube_text import Sizes
 from pwatrack.control.bounds import Channel, Form
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.off_time import OffTime
 from pwatrack.control.sampled_disturbances import SUMMED, Acting, across, level, shifted
 from pwatrack.control.sampled_error import SampledErrors
@@ -73,10 +73,14 @@ class TubeBounds(Claim):
         raise NotImplementedError
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator[Self]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator[Self]:
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
+        before = None if told is None else tube_text.read(told[cls.KEY])
         for proof, errors, acts in cls.known(controller, asked):
             found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
+            if before is not None:
+                yield found._told(*before)
+                continue
             few, opened = found._sought(proof)
             if opened is not None:
                 search = TubeSearch.of(controller, found.forms, opened, proof)
@@ -99,26 +103,23 @@ class TubeBounds(Claim):
                 return each, errors
         return None, None
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Self]:
-        entries, told = tube_text.read(content[cls.KEY])
-        for _, errors, acts in cls.known(controller, asked):
-            same, errors = of_this_start(told, errors)
-            tubes, together = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
-            for whole, tube in entries:
-                of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
-                if not of:
-                    continue
-                if not of.keys() <= acts.squares.keys():
-                    raise ValueError("a tube is of something that does not act")
-                if not tube.summed and any(kind == "swap" for kind, _ in of):
-                    raise ValueError("what u is off its time is summed")
-                alone = [*whole.values()] == [1.0]
-                together += [] if alone else [of]
-                channels: Iterable[Channel] = of if alone else [("together", len(together) - 1)]
-                tubes |= {channel: (*tubes.get(channel, ()), tube) for channel in channels}
-            forms = tuple(seen(controller))
-            yield cls(errors=errors, acts=acts, tubes=tubes, forms=forms, together=tuple(together))
+    def _told(self, entries: Sequence[tuple[Sizes, Tube]], starts: Mapping[Channel, Any]) -> Self:
+        """Return the bounds with the tubes, and the start, of a certificate."""
+        same, errors = of_this_start(starts, self.errors)
+        tubes, together = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
+        for whole, tube in entries:
+            of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
+            if not of:
+                continue
+            if not of.keys() <= self.acts.squares.keys():
+                raise ValueError("a tube is of something that does not act")
+            if not tube.summed and any(kind == "swap" for kind, _ in of):
+                raise ValueError("what u is off its time is summed")
+            alone = [*whole.values()] == [1.0]
+            together += [] if alone else [of]
+            channels: Iterable[Channel] = of if alone else [("together", len(together) - 1)]
+            tubes |= {channel: (*tubes.get(channel, ()), tube) for channel in channels}
+        return replace(self, errors=errors, tubes=tubes, together=tuple(together))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         each = ((self._of(channel), tube) for channel, tubes in self.tubes.items() for tube in tubes)

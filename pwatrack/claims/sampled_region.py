@@ -5,7 +5,7 @@ gain against windup makes of them: see `lmi.clocked_region`. What acts in the ru
 beside the feedforward, in the loop without limits, is taken off what the feedforward leaves of them.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -15,14 +15,15 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import decimal_texts, diagonals, doubles, packed, packed_forms, read_diagonals
-from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, read_sizes, taken_off
+from pwatrack.claims.limits import StartGuarantee, loads_at, nearby, read_sizes, taken_off
 from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Form, Loops
 from pwatrack.control.candidates import short
-from pwatrack.control.controller import Asked, ProvedController, Row
+from pwatrack.control.controller import Asked, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.sampled_disturbances import beside_loads, cut_off, drives
 from pwatrack.control.sampled_error import SampledErrors
@@ -70,22 +71,13 @@ class SampledRegion(RegionClaim):
         "makes of the change."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_regions": []}
+    KEY: ClassVar[str] = "sampled_limits_active"
+    LABEL: ClassVar[str] = "limits, sampled"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SampledRegion"]:
         """Yield the starts for which it is proved, or why there are none, where the loop is sampled and has limits."""
-        for search in _Search.of(controller, asked):
-            found = () if search.missing else tuple(search.regions())
-            yield search.told(found)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
-        entries = {entry["of"]: entry for entry in content["sampled_regions"]}
-        for search in _Search.of(controller, asked):
-            told = {kind: entry | {"starts": search.behind(entry)} for kind, entry in entries.items()}
-            known = () if search.missing else (every(controller), *(nearby(one, told) for one in search.starts))
-            found = [search.guarantee(one, _read(entries[one.kind])) for one in known if one.kind in entries]
-            yield search.told(tuple(found))
+        yield from (search.claim(told) for search in _Search.of(controller, asked))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {
@@ -97,23 +89,10 @@ class SampledRegion(RegionClaim):
             ]
         }
 
-    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        left, inputs = self.left, words.plant.inputs
-        names = [*inputs, *(f"change of {name}" for name in inputs)]
-        said = [] if left is None else [one.figures(left, names) for one in self.found]
-        return {"sampled_limits_active": {"starts": said, "missing": self.missing}}
-
-    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        left, label = self.left, "limits, sampled"
-        if left is None or not self.found:
-            yield label, f"not proved: {self.missing}"
-            return
-        for one in self.found:
-            starts = self.starts_said(left, words, controller, one)
-            whole = one.starts.kind == "every" or one.of_this_run(left)
-            starts += ", as the first input acts" * (self.late and not whole)
-            yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
-            label = ""
+    def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
+        whole = one.starts.kind == "every" or one.of_this_run(self.left)
+        starts += ", as the first input acts" * (self.late and not whole)
+        return f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors settle from the start of the run with inputs at their limits, where that is proved."""
@@ -142,10 +121,7 @@ class _Search:
 
     controller: ProvedController
     loop: SampledLoop
-    room: Headroom  # without what acts takes
-    changes: Array | None  # likewise, of what inputs may change by in a sample, (m,)
-    idle: bool
-    missing: str
+    bare: SampledRegion  # nothing is found yet; its room is without what acts takes
     off: Array  # columns by which x̂(0) of the run may be off, (n, q), as it is made of what is measured
     begun: Array | None  # where the run is as its first input acts, where that is late and known, (order, k)
 
@@ -174,27 +150,30 @@ class _Search:
                 missing = "what acts takes all that is left of the limits" * (room.spare is None)
             if not missing and changes is not None and not (changes > 0).all():
                 missing = "what acts, or how x_d begins, takes all that an input may change by"
-            yield cls(
-                controller=controller,
-                loop=loop,
-                room=room,
-                changes=changes,
-                idle=idle,
-                missing=missing,
-                off=X,
-                begun=begun,
-            )
+            bare = SampledRegion(room=room, changes=changes, idle=idle, late=loop.gains.delay > 0, missing=missing)
+            yield cls(controller=controller, loop=loop, bare=bare, off=X, begun=begun)
 
-    def told(self, found: tuple[StartGuarantee, ...]) -> SampledRegion:
-        """Return the claim."""
-        missing, late = self.missing or _NOT_FOUND * (not found), self.loop.gains.delay > 0
-        room, changes, idle = self.room, self.changes, self.idle
-        return SampledRegion(room=room, changes=changes, idle=idle, late=late, found=found, missing=missing)
+    def claim(self, told: Told = None, kinds: Collection[str] = ()) -> SampledRegion:
+        """Return the claim with what is proved of all starts, or of some kinds; as a certificate tells it."""
+        if self.bare.missing:
+            return self.bare
+        found = tuple(self.regions(kinds) if told is None else self.read(told["sampled_regions"]))
+        return replace(self.bare, found=found, missing=_NOT_FOUND * (not found))
+
+    def read(self, entries: Sequence[Any]) -> Iterator[StartGuarantee]:
+        """Yield what entries of a certificate prove."""
+        by_kind = {entry["of"]: entry for entry in entries}
+        told = {kind: entry | {"starts": self.behind(entry)} for kind, entry in by_kind.items()}
+        for one in (every(self.controller), *(nearby(one, told) for one in self.starts)):
+            if (entry := by_kind.get(one.kind)) is not None:
+                P, T = packed_forms(entry["P"]), read_diagonals(entry["T"])
+                H = np.asarray(doubles(entry["H"]))
+                yield self.guarantee(one, ClockedRegion(P=P, T=T, H=H, **read_sizes(entry)))
 
     @property
-    def left(self) -> Array | None:
-        """How far each input may be from its feedforward, then what is left of its changes."""
-        return self.told(()).left
+    def room(self) -> Headroom:
+        """What is left of the limits."""
+        return self.bare.room
 
     @cached_property
     def errors(self) -> SampledErrors:
@@ -217,7 +196,7 @@ class _Search:
     @cached_property
     def loops(self) -> Loops:
         """The loops in continuous time, which know where loads act."""
-        return loops_of(self.controller)
+        return loops_of(self.controller, unmoved=True)
 
     @cached_property
     def starts(self) -> list[Starts]:
@@ -258,7 +237,8 @@ class _Search:
     def limited(self) -> tuple[int, ...]:
         """Which inputs have limits, and which have limits of changes, counted on from those."""
         m = len(self.room.limits)
-        finite = () if self.changes is None else np.flatnonzero(np.isfinite(self.changes)).tolist()
+        changes = self.bare.changes
+        finite = () if changes is None else np.flatnonzero(np.isfinite(changes)).tolist()
         return (*self.room.inputs, *(m + k for k in finite))
 
     @cached_property
@@ -298,7 +278,7 @@ class _Search:
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
         """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""
-        left, (_, m, N, *_), gains, inputs = self.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
+        left, (_, m, N, *_), gains, inputs = self.bare.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
         assert left is not None
         G, room = self.as_newest(self.errors.before(starts)), np.maximum(left[inputs], 0.0)
         for faster in _FASTER:
@@ -314,7 +294,7 @@ class _Search:
 
     def _largest(self, starts: Starts) -> StartGuarantee | None:
         """Return the region of the largest multiple that is proved, of a few H."""
-        left, (n, m, N, *_), ticks, best, had = self.left, self.errors.widths, self.ticks, None, 0.0
+        left, (n, m, N, *_), ticks, best, had = self.bare.left, self.errors.widths, self.ticks, None, 0.0
         assert left is not None
         before, own, inputs = self.errors.before(starts), self.own, len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
@@ -368,14 +348,13 @@ class _Search:
 
 def if_alone(controller: ProvedController, asked: Asked, kinds: Collection[str]) -> Iterator[SampledRegion]:
     """Yield for which starts of some kinds it would be proved if nothing acted: as a rule for more than with that."""
-    for search in _Search.of(controller, asked, alone=True):
-        yield search.told(() if search.missing else tuple(search.regions(kinds)))
+    yield from (search.claim(kinds=kinds) for search in _Search.of(controller, asked, alone=True))
 
 
 def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Iterator[tuple[SampledGains, float]]:
     """Yield gains with one against windup, and what multiple of the starts of a kind is proved with them."""
     for search in _Search.of(controller, asked):
-        for starts in search.starts if not search.missing else ():
+        for starts in search.starts if not search.bare.missing else ():
             if starts.kind == kind:
                 yield from search.against_windup(starts)
 
@@ -384,8 +363,3 @@ def _beyond(controller: ProvedController, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
     moved = on_estimates(controller) is not None
     return nothing_left(room) or "x_d or u_ff depend on estimates that are no constants at inputs" * moved
-
-
-def _read(entry: Any) -> ClockedRegion:
-    P, T = packed_forms(entry["P"]), read_diagonals(entry["T"])
-    return ClockedRegion(P=P, T=T, H=np.asarray(doubles(entry["H"])), **read_sizes(entry))

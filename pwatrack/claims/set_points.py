@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import number_text
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.demand import Demand
 from pwatrack.control.headroom import Headroom
 from pwatrack.control.words import Words, down
@@ -35,7 +35,7 @@ class SetPoints(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"set_points": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SetPoints"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SetPoints"]:
         """Yield what set-points take, where the file has limits of them: it is proved before gains are made."""
         if asked.set_points is not None:
             yield cls(demand=asked.set_points, room=asked.room)

@@ -26,8 +26,6 @@ Knot = tuple[Matrix, list[Fraction], list[Fraction]]  # a form, about the roots 
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the proof of the sampled loop, and what it claims."""
     content = whole["sampled"]
-    if content is None:
-        return [], []
     h, rate = number(content["sample_time"]), number(content["rate"])
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")

@@ -60,8 +60,6 @@ class UncertainLoop(Loop):
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
     content = whole["uncertain"]
-    if content is None:
-        return [], []
     box = UncertainLoop(whole["plant"], content["corners"], loop.K, loop.L)
     faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
     signals = [[signal[:2] for signal in entry["signals"]] for entry in content["bounds"]]

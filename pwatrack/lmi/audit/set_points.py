@@ -8,10 +8,10 @@ from fractions import Fraction
 from itertools import accumulate
 from typing import Any
 
-from .balls import Ball, added_or, beyond, falls, sides, squared, stacked, unit, unlike, zero
-from .bounds import Loop
+from .balls import Ball, added_or, beyond, sides, stacked, unit, unlike, zero
+from .bounds import Loop, leaving
 from .form import coordinates, once
-from .matrices import AuditFault, added, definite, identity, times
+from .matrices import AuditFault, identity, times
 from .plant import AuditedPlant
 from .reading import matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, WHOLE, of
@@ -95,8 +95,6 @@ def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the intervals of the inputs for all set-points, and what they claim."""
     content = whole["set_points"]
-    if content is None:
-        return [], []
     kept = ToldSetPoints(content, loop.plant, whole["generator"])
     faults = list[str]()
     for k in kept.open:
@@ -125,8 +123,7 @@ def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction],
         each = [number(v) for v in part["sizes"]]
         if len(each) != len(kept.forms):
             raise AuditFault("an ellipsoid has not a size for each row")
-        if not stays([ball for _, ball in unlike(M)], column, part, start=name == "start"):
-            faults.append("an ellipsoid of internal states can be left")
+        faults += leaving([ball for _, ball in unlike(M)], column, part, start=name == "start")
         Q, _ = packed(part["Q"])
         for line, most in zip(kept.forms, each, strict=True):
             if beyond(Ball([line]), Q, most):
@@ -151,15 +148,6 @@ def drives(kept: ToldSetPoints, rates: list[Ball], cell: int) -> Any:
     z = [a - b - dot(line, xi) for a, b, line in zip(kept.start[kept.r :], kept.eta, kept.M, strict=True)]
     if any(z):
         yield "start", 0, Ball([[v] for v in z]), Fraction(1)
-
-
-def stays(matrices: list[Ball], column: Ball, part: Any, *, start: bool) -> bool:
-    """Decide whether z from 0 on, driven by a column of at most 1, or from that column on, stays in an ellipsoid."""
-    (Q, powers), rate = packed(part["Q"]), number(part["a"])
-    if rate <= 0 or not definite(Q) or (start and not definite(added(Q, squared(column)[0], -1))):
-        return False
-    push = () if start else squared(column, 1 / rate)
-    return all(falls(X, Q, powers, *push, rate=rate / 2) for X in matrices)
 
 
 def intervals(kept: ToldSetPoints, content: Any, sizes: list[Fraction]) -> list[str]:

@@ -23,8 +23,6 @@ SHAPE = {"sampled_bounds": TUBES}
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the tubes, and what they claim."""
     found = whole["sampled_bounds"]
-    if not found:
-        return [], []
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     merged = [] if whole["practical"] is None else whole["practical"]["merged"]
