@@ -48,7 +48,6 @@ class Decay(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Decay"]:
-        """Yield the claim; the controller has the proofs."""
         yield cls()
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
@@ -216,7 +215,6 @@ def _within_limits(goal: Goal, controller: ProvedController) -> bool:
 
 
 def _origin(goal: Goal) -> str:
-    """Say where a gain is from."""
     match goal:
         case Given():
             return "given"

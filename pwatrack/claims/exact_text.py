@@ -12,12 +12,16 @@ from pwatrack.control.bounds import Bounds, Channel, Form, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.clocked_region import ClockedRegion
+from pwatrack.lmi.clocked_tubes import Tube
 from pwatrack.lmi.dichotomy import Dichotomy
-from pwatrack.lmi.ellipsoid import InvariantEllipsoid
+from pwatrack.lmi.ellipsoid import InvariantEllipsoid, StartEllipsoid
 from pwatrack.lmi.exact import Packed, Proof
 from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.peak_gain import PeakGain
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
+from pwatrack.lmi.polynomial_region import PolynomialRegion
+from pwatrack.lmi.saturated import Region
 from pwatrack.model.loads import Loads
 from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
 from pwatrack.model.normal_form import NormalForm
@@ -25,6 +29,7 @@ from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Real
 
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
+Held = StartEllipsoid | Region | ClockedRegion | PolynomialRegion  # what errors from some starts do not leave
 CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
 
@@ -64,29 +69,51 @@ def whole(found: Any) -> dict[str, Any]:
     return {"integers": integers, "exponents": tuple(found["exponents"])}
 
 
-def packed_forms(found: Any) -> tuple[Packed, ...]:
-    """Return the matrices that `packed` gave."""
-    return tuple(Packed(**whole(one)) for one in found)
+def knots(one: ClockedProof | ClockedRegion | Tube) -> dict[str, Any]:
+    """Return the forms, and the diagonals, at the knots of a loop that is sampled."""
+    name, forms = ("Q", one.Q) if isinstance(one, Tube) else ("P", one.P)
+    return {name: [packed(form) for form in forms], "T": [[decimal(v) for v in row] for row in one.T]}
+
+
+def read_knots(told: Any) -> dict[str, Any]:
+    """Return what was written by `knots`, as the classes of proofs take it."""
+    name = "Q" if "Q" in told else "P"
+    forms = tuple(Packed(**whole(form)) for form in told[name])
+    return {name: forms, "T": tuple(tuple(map(double, row)) for row in told["T"])}
 
 
 def clocked_content(proof: ClockedProof) -> dict[str, Any]:
     """Return the forms that prove a loop that is sampled."""
-    return {"rate": decimal(proof.rate), "P": [packed(P) for P in proof.P], "T": diagonals(proof.T)}
-
-
-def diagonals(T: Sequence[Sequence[float]]) -> list[list[str]]:
-    """Return diagonals at knots as decimals."""
-    return [[decimal(v) for v in row] for row in T]
-
-
-def read_diagonals(told: Any) -> tuple[tuple[float, ...], ...]:
-    """Return what was written by `diagonals`."""
-    return tuple(tuple(double(v) for v in row) for row in told)
+    return {"rate": decimal(proof.rate)} | knots(proof)
 
 
 def read_clocked(told: Any) -> ClockedProof:
     """Return what was written by `clocked_content`."""
-    return ClockedProof(P=packed_forms(told["P"]), T=read_diagonals(told["T"]), rate=double(told["rate"]))
+    return ClockedProof(rate=double(told["rate"]), **read_knots(told))
+
+
+def held_content(held: Held) -> dict[str, Any]:
+    """Return what holds some starts."""
+    if isinstance(held, ClockedRegion | PolynomialRegion):
+        form = knots(held) if isinstance(held, ClockedRegion) else {"V": proof_content(held.proof)}
+        return form | {"H": decimal_texts(held.H)}
+    return {"Q": packed(held)} | ({"H": decimal_texts(held.H)} if isinstance(held, Region) else {})
+
+
+def read_held(entry: Any) -> Held:
+    """Return what was written by `held_content`, with weights of the starts, and sizes."""
+    sizes = tuple(size for _, size in read_signals(entry["signals"]))
+    known: dict[str, Any] = {"weights": tuple(map(double, entry["weights"])), "sizes": sizes}
+    if "H" not in entry:
+        return StartEllipsoid(**whole(entry["Q"]), **known)
+    known["H"] = doubles(entry["H"])
+    if "Q" in entry:
+        return Region(**whole(entry["Q"]), **known)
+    if "P" in entry:
+        return ClockedRegion(**read_knots(entry), **known)
+    proof = read_proof(entry["V"])
+    assert isinstance(proof, PolynomialProof)
+    return PolynomialRegion(proof=proof, **known)
 
 
 def signals(sizes: Iterable[tuple[Form, float]]) -> list[list[Any]]:

@@ -6,7 +6,7 @@ solution the error is linear in all of these together, so what is left after the
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -42,8 +42,22 @@ class KeptLimits(Claim):
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["KeptLimits"]:
         """Yield what is proved of the limits of outputs and states, where there are some."""
-        if (signals := asked.signals) is not None:
-            yield _found(controller, signals, told)
+        if (signals := asked.signals) is None:
+            return
+        room, missing = signals.room, ""
+        if controller.running is not controller.plant:
+            missing = "cells are merged"
+        elif controller.trajectory.preview is not None:
+            missing = "x_d is played back"
+        elif room.left is None:
+            missing = "the reference leaves nothing of a limit, or is not known"
+        claim = cls(signals=signals, taken=None if missing else _taken(controller, signals), missing=missing)
+        if missing:
+            yield claim
+        elif claim.left is None:
+            yield replace(claim, missing="what disturbs may take all that is left")
+        else:
+            yield replace(claim, promises=promises(controller, claim.left, room.starts, told, forms=signals.forms))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
@@ -109,7 +123,6 @@ class KeptLimits(Claim):
 
     @property
     def _acting(self) -> str:
-        """With what they are kept, in words."""
         kinds = {kind for kind, _ in self.signals.acting}
         noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
         return f", with what acts in this file{noise}" if kinds else " while nothing disturbs"
@@ -123,28 +136,9 @@ class KeptLimits(Claim):
 
 
 def _between(low: float, high: float) -> str:
-    """Say two limits, or the one that there is."""
     if np.isfinite([low, high]).all():
         return f"from {number_text(low, 'g')} to {number_text(high, 'g')}"
     return f"at least {number_text(low, 'g')}" if np.isfinite(low) else f"at most {number_text(high, 'g')}"
-
-
-def _found(controller: ProvedController, signals: SignalRoom, told: Told) -> KeptLimits:
-    """Return what is known, searched for where there is no certificate."""
-    room, missing = signals.room, ""
-    if controller.running is not controller.plant:
-        missing = "cells are merged"
-    elif controller.trajectory.preview is not None:
-        missing = "x_d is played back"
-    elif room.left is None:
-        missing = "the reference leaves nothing of a limit, or is not known"
-    if missing:
-        return KeptLimits(signals=signals, missing=missing)
-    claim = KeptLimits(signals=signals, taken=_taken(controller, signals))
-    if claim.left is None:
-        return KeptLimits(signals=signals, taken=claim.taken, missing="what disturbs may take all that is left")
-    found = promises(controller, claim.left, room.starts, told, forms=signals.forms)
-    return KeptLimits(signals=signals, taken=claim.taken, promises=found)
 
 
 def _taken(controller: ProvedController, signals: SignalRoom) -> Array | None:

@@ -13,25 +13,13 @@ import numpy as np
 from pwatrack.arrays import Array, number_text
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import loops_of
-from pwatrack.claims.exact_text import (
-    CLOSE,
-    decimal,
-    decimal_texts,
-    double,
-    doubles,
-    packed,
-    read_signals,
-    signals,
-    whole,
-)
+from pwatrack.claims.exact_text import CLOSE, Held, decimal, decimal_texts, doubles, held_content, read_held, signals
 from pwatrack.control.bounds import Form, Loop, Loops
 from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
-from pwatrack.lmi.clocked_region import ClockedRegion
-from pwatrack.lmi.ellipsoid import StartEllipsoid, held
-from pwatrack.lmi.polynomial_region import PolynomialRegion
+from pwatrack.lmi.ellipsoid import held
 
 WITHOUT = " while no load acts"  # where loads are estimated
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
@@ -54,7 +42,7 @@ class StartGuarantee:
     starts: Starts
     loop: Loop
     inputs: tuple[int, ...]
-    held: StartEllipsoid | ClockedRegion | PolynomialRegion | None
+    held: Held | None
     loads: tuple[float, ...]
     forms: tuple[Form, ...] = ()
     before: Array | None = None
@@ -109,7 +97,6 @@ class StartGuarantee:
         return left is not None and self.starts.kind == "run" and self.scale(left) >= 1
 
     def figures(self, left: Array, names: Sequence[str]) -> dict[str, Any]:
-        """Return the same as figures."""
         scale, of = self.scale(left), [names[k] for k in self.inputs]
         return {
             "starts": self.starts.kind,
@@ -120,13 +107,7 @@ class StartGuarantee:
 
     @property
     def data(self) -> dict[str, Any]:
-        """What a certificate holds of it, where it is of an ellipsoid."""
-        assert isinstance(self.held, StartEllipsoid)
-        return self.about | {"Q": packed(self.held)}
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """The same without its form."""
+        """What a certificate holds of it."""
         assert self.held is not None
         kind: Literal["drive", "input"] = "input" if self.starts.load is None else "drive"
         return {
@@ -138,6 +119,7 @@ class StartGuarantee:
                 (self.forms[k] if self.forms else (kind, k), size)
                 for k, size in zip(self.inputs, self.held.sizes, strict=True)
             ),
+            **held_content(self.held),
         }
 
 
@@ -277,8 +259,7 @@ def promises(
             continue
         if told is not None:
             if (entry := known.get(one.kind)) is not None:
-                held_before = StartEllipsoid(**whole(entry["Q"]), **read_sizes(entry))
-                found.append(replace(promise, held=held_before))
+                found.append(replace(promise, held=read_held(entry)))
             continue
         tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
         best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
@@ -299,12 +280,6 @@ def loads_at(loops: Loops, starts: Starts, inputs: Sequence[int]) -> tuple[float
     return tuple(float(acting[at == k].sum()) if acting.any() else 0.0 for k in inputs)
 
 
-def read_sizes(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the weights of starts, and the sizes, that a certificate holds."""
-    sizes = tuple(size for _, size in read_signals(entry["signals"]))
-    return {"weights": tuple(map(double, entry["weights"])), "sizes": sizes}
-
-
 def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
     """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
     if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
@@ -316,7 +291,7 @@ def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
 def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
     G, n = starts.G if starts.z is None else starts.z, len(starts.e)
-    told = np.array(doubles(entries[starts.kind]["starts"])) if starts.kind in entries else G
+    told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
     G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
     if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
         return starts

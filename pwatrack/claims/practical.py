@@ -229,7 +229,6 @@ class _Loops(Loops):
     seen: bool  # whether they drive the observer's error too
 
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
-        """Return g, (N, 1)."""
         if channel[0] != "deviation":
             return super().drive(loop, channel)
         e, nothing = self.columns[channel[1]], zero(self.N, 1)
@@ -259,7 +258,6 @@ class _Loops(Loops):
         return Bounds(channel=channel, sizes=sizes, parts=parts, proved=peaks)
 
     def proved_peak(self, part: SignalEllipsoid, signal: Form) -> PeakGain | None:
-        """Return the peak gain, where the loop has one matrix."""
         if len(self.M[part.loop]) != 1:
             return None
         drive, row = self.drive(part.loop, part.channel), self.row(part.loop, signal)
@@ -291,7 +289,6 @@ def _merge_content(merge: Simplification) -> dict[str, Any]:
 
 
 def _width_text(words: Words, merge: Simplification) -> str:
-    """Say between which values an element was merged."""
     marks, unit = merge.nonlinearity.function.breakpoints, _unit(words, merge)
     low, high = float(marks[merge.first]), float(marks[merge.last])
     if low == -high:
@@ -307,11 +304,9 @@ def _merge_text(words: Words, merge: Simplification) -> str:
     count = merge.last - merge.first + 1
     gone = len(merge.nonlinearity.function.breakpoints) - len(merge.function.breakpoints)
     became = "one line" if straight else f"with {count} corners fewer" if gone == count else "with one corner"
-    parts = []
-    for j, size in _deviations(merge).items():
-        _, on, unit = words.cause(("disturbance", j))
-        parts.append(f"{up(size)} {unit} on {on}".replace("  ", " "))
-    of, most = _form_text(words, merge), ", ".join(parts)
+    each = ((size, words.cause(("disturbance", j))) for j, size in _deviations(merge).items())
+    most = ", ".join(f"{up(size)} {unit} on {on}".replace("  ", " ") for size, (_, on, unit) in each)
+    of = _form_text(words, merge)
     return f"{merge.nonlinearity.name}, of {of}, {became}: it deviates by at most {most}"
 
 

@@ -15,24 +15,15 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import above, places, zero
 from pwatrack.claims.bounds import loops_of
-from pwatrack.claims.exact_text import decimal_texts, doubles, packed, proof_content, read_proof, whole
-from pwatrack.claims.limits import (
-    NoSaturation,
-    StartGuarantee,
-    drive_rows,
-    loads_at,
-    nearby,
-    read_sizes,
-    taken_off,
-)
+from pwatrack.claims.exact_text import Held, decimal_texts, read_held
+from pwatrack.claims.limits import NoSaturation, StartGuarantee, drive_rows, loads_at, nearby, taken_off
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.vertices import outermost
 from pwatrack.control.words import Words, down, matrix_text
-from pwatrack.lmi.polynomial import PolynomialProof
-from pwatrack.lmi.polynomial_region import AnyRegion, PolynomialRegion, region_around
-from pwatrack.lmi.saturated import MOST_WORK, Region, SaturatedLoop
+from pwatrack.lmi.polynomial_region import region_around
+from pwatrack.lmi.saturated import MOST_WORK, SaturatedLoop
 
 _TRIES = 3  # of how the room of several inputs is shared with their loads
 _NOT_FOUND = "no ellipsoid was found that proves it"
@@ -129,12 +120,13 @@ class LimitedRegion(RegionClaim):
             else:
                 entries, loops = {entry["of"]: entry for entry in told["regions"]}, loops_of(controller, unmoved=True)
                 starts = [every(controller), *(nearby(one, entries) for one in room.starts)]
-                found = tuple(_of(loops, one, room, _read(entries[one.kind])) for one in starts if one.kind in entries)
+                known = [(one, read_held(entries[one.kind])) for one in starts if one.kind in entries]
+                found = tuple(_of(loops, one, room, held) for one, held in known)
             yield cls(room=room, found=found, missing=missing or _NOT_FOUND * (not found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         cheaper = controller.design.cheaper
-        return {"regions": [one.about | _content(one.held) for one in self.found]} | (
+        return {"regions": [one.data for one in self.found]} | (
             {} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)}
         )
 
@@ -219,20 +211,6 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
     return tuple(found)
 
 
-def _content(held: Any) -> dict[str, Any]:
-    form = {"V": proof_content(held.proof)} if isinstance(held, PolynomialRegion) else {"Q": packed(held)}
-    return form | {"H": decimal_texts(held.H)}
-
-
-def _read(entry: Mapping[str, Any]) -> AnyRegion:
-    H = np.asarray(doubles(entry["H"]))
-    if "Q" in entry:
-        return Region(H=H, **whole(entry["Q"]), **read_sizes(entry))
-    proof = read_proof(entry["V"])
-    assert isinstance(proof, PolynomialProof)
-    return PolynomialRegion(proof=proof, H=H, **read_sizes(entry))
-
-
 def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom, enough: float) -> StartGuarantee | None:
     """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion.
 
@@ -251,7 +229,7 @@ def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom, 
     return best
 
 
-def _of(loops: Loops, starts: Starts, room: Headroom, held: AnyRegion) -> StartGuarantee:
+def _of(loops: Loops, starts: Starts, room: Headroom, held: Held) -> StartGuarantee:
     loop: Loop = "joint" if starts.delta is not None and starts.kind != "every" else "controller"
     inputs = room.inputs
     loads = (0.0,) * len(inputs) if starts.kind == "every" else loads_at(loops, starts, inputs)

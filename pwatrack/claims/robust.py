@@ -104,7 +104,6 @@ class Robust(Claim):
 
     @property
     def parameters(self) -> str:
-        """The intervals of the box in words."""
         return ", ".join(interval.text for interval in self.box)
 
     @property
@@ -188,15 +187,10 @@ def corner_content(corner: Matrices) -> dict[str, Any]:
 
 def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:
     """Return the state equations in which the plants differ."""
-    return [
-        k
-        for k in range(exact.B.shape[0])
-        if any(
-            any((X.part([k], range(X.shape[1])).centre - Y.part([k], range(X.shape[1])).centre).entries())
-            for corner in corners
-            for X, Y in zip((*corner.A, *corner.b, corner.B), (*exact.A, *exact.b, exact.B), strict=True)
-        )
-    ]
+    own = (*exact.A, *exact.b, exact.B)
+    pairs = (zip((*corner.A, *corner.b, corner.B), own, strict=True) for corner in corners)
+    off = [(X.centre - Y.centre).tolist() for each in pairs for X, Y in each]
+    return [k for k in range(exact.B.shape[0]) if any(any(D[k]) for D in off)]
 
 
 def joint_matrices(exact: Matrices, corners: Sequence[Matrices], K: BallMatrix, L: BallMatrix) -> list[BallMatrix]:

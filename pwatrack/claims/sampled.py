@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, tee
 from typing import Any, ClassVar
 
 import numpy as np
@@ -100,7 +100,6 @@ class SampledLoop(SampledClaim):
 
     @property
     def runs_with(self) -> SampledGains:
-        """The gains of the program, proved or not."""
         return self.gains
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
@@ -134,7 +133,6 @@ class SampledLoop(SampledClaim):
 
     @property
     def sentence(self) -> str:
-        """What is proved of it."""
         if self.proof is None:
             return f"not proved: {self.missing}"
         gains = self.gains
@@ -225,12 +223,9 @@ def _proved(controller: ProvedController, tried: Iterator[SampledGains], *, sear
         return SampledLoop(gains=_steady(controller, first, tried), proof=None, missing=_NOT_FOUND)
     design = controller.plant, controller.design.K, controller.design.L, controller.sizes
     estimates = on_estimates(controller)
-    seen = list[SampledGains]()
-    for each in chain([first], tried):
-        seen.append(each)
-        if found := with_forms(controller.plant, each, estimates, controller.sizes):
-            break
-    gains, proof = found or (_steady(controller, first, seen[1:]), None)
+    others, tried = tee(tried)
+    found = (with_forms(controller.plant, each, estimates, controller.sizes) for each in chain([first], tried))
+    gains, proof = next(filter(None, found), None) or (_steady(controller, first, others), None)
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
 
@@ -254,9 +249,9 @@ def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:
 
 def _read_gains(told: Any) -> SampledGains:
     return SampledGains(
-        K=np.asarray(doubles(told["K"])),
-        M=np.asarray(doubles(told["M"])),
-        E=np.asarray(doubles(told["E"])).reshape(len(told["E"]), len(told["K"])),
+        K=doubles(told["K"]),
+        M=doubles(told["M"]),
+        E=doubles(told["E"]).reshape(len(told["E"]), len(told["K"])),
         sample_time=double(told["sample_time"]),
         substeps=told["substeps"],
         delay=told["delay"],

@@ -16,8 +16,8 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.bounds import loops_of
-from pwatrack.claims.exact_text import decimal_texts, diagonals, doubles, packed, packed_forms, read_diagonals
-from pwatrack.claims.limits import StartGuarantee, loads_at, nearby, read_sizes, taken_off
+from pwatrack.claims.exact_text import Held, read_held
+from pwatrack.claims.limits import StartGuarantee, loads_at, nearby, taken_off
 from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
@@ -30,7 +30,7 @@ from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.clocked_region import ClockedRegion, SaturatedTicks
+from pwatrack.lmi.clocked_region import SaturatedTicks
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.saturated import SaturatedLoop
 from pwatrack.rational import floats
@@ -80,14 +80,7 @@ class SampledRegion(RegionClaim):
         yield from (search.claim(told) for search in _Search.of(controller, asked))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        return {
-            "sampled_regions": [
-                one.about
-                | {"P": [packed(P) for P in one.held.P], "T": diagonals(one.held.T), "H": decimal_texts(one.held.H)}
-                for one in self.found
-                if isinstance(one.held, ClockedRegion)
-            ]
-        }
+        return {"sampled_regions": [one.data for one in self.found]}
 
     def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
         whole = one.starts.kind == "every" or one.of_this_run(self.left)
@@ -120,7 +113,8 @@ class _Search:
     """Looks for regions of one loop."""
 
     controller: ProvedController
-    loop: SampledLoop
+    gains: SampledGains
+    proof: ClockedProof  # of the loop without limits
     bare: SampledRegion  # nothing is found yet; its room is without what acts takes
     off: Array  # columns by which x̂(0) of the run may be off, (n, q), as it is made of what is measured
     begun: Array | None  # where the run is as its first input acts, where that is late and known, (order, k)
@@ -132,13 +126,13 @@ class _Search:
         With `alone` as if nothing acted: then no bound of what does is needed.
         """
         room = asked.room
-        for loop in controller.claims_of(SampledLoop) if room is not None else ():
+        for loop in controller.claims_of(SampledLoop):
             if loop.proof is None or room is None:
                 continue
-            X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
+            X, inputs = asked.measured, tuple(range(controller.plant.B.shape[1]))
+            X, begun = np.zeros(controller.plant.C.T.shape) if X is None else X, None
             taken, idle = np.full(len(inputs), 0.0 if alone else np.inf), alone
             missing, changes = _beyond(controller, room), asked.changes
-            X, begun = X if asked.measured is None else asked.measured, None
             for bounds in controller.claims_of(SampledBounds) if not (missing or alone) else ():
                 taken, changed = bounds.taken(inputs, drives(bounds.errors, inputs))
                 idle, X, changes = bounds.idle, X * bounds.noise, None if changes is None else changes - changed
@@ -151,7 +145,7 @@ class _Search:
             if not missing and changes is not None and not (changes > 0).all():
                 missing = "what acts, or how x_d begins, takes all that an input may change by"
             bare = SampledRegion(room=room, changes=changes, idle=idle, late=loop.gains.delay > 0, missing=missing)
-            yield cls(controller=controller, loop=loop, bare=bare, off=X, begun=begun)
+            yield cls(controller=controller, gains=loop.gains, proof=loop.proof, bare=bare, off=X, begun=begun)
 
     def claim(self, told: Told = None, kinds: Collection[str] = ()) -> SampledRegion:
         """Return the claim with what is proved of all starts, or of some kinds; as a certificate tells it."""
@@ -161,24 +155,18 @@ class _Search:
         return replace(self.bare, found=found, missing=_NOT_FOUND * (not found))
 
     def read(self, entries: Sequence[Any]) -> Iterator[StartGuarantee]:
-        """Yield what entries of a certificate prove."""
-        by_kind = {entry["of"]: entry for entry in entries}
-        told = {kind: entry | {"starts": self.behind(entry)} for kind, entry in by_kind.items()}
-        for one in (every(self.controller), *(nearby(one, told) for one in self.starts)):
-            if (entry := by_kind.get(one.kind)) is not None:
-                P, T = packed_forms(entry["P"]), read_diagonals(entry["T"])
-                H = np.asarray(doubles(entry["H"]))
-                yield self.guarantee(one, ClockedRegion(P=P, T=T, H=H, **read_sizes(entry)))
+        told = {entry["of"]: entry for entry in entries}
+        known = (nearby(replace(one, z=self.errors.before(one)), told) for one in self.starts)
+        for one in (one for one in (every(self.controller), *known) if one.kind in told):
+            yield self.guarantee(one, read_held(told[one.kind]))
 
     @property
     def room(self) -> Headroom:
-        """What is left of the limits."""
         return self.bare.room
 
     @cached_property
     def errors(self) -> SampledErrors:
-        """Of the loop."""
-        return errors_of(self.controller, self.loop.gains)
+        return errors_of(self.controller, self.gains)
 
     @property
     def own(self) -> list[int]:
@@ -204,7 +192,7 @@ class _Search:
 
         Where inputs are late what errors are as the first one acts is known of x̂ = x, predicted so, and of the run.
         """
-        if self.loop.gains.delay:
+        if self.gains.delay:
             run = [] if self.begun is None else [one for one in self.room.starts if one.kind == "run"]
             late = [replace(one, z=self.begun) for one in run]
             return [*(one for one in self.room.starts if one.kind == "exact"), *late]
@@ -212,14 +200,7 @@ class _Search:
         return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
 
     @cached_property
-    def proof(self) -> ClockedProof:
-        """Of the loop without limits."""
-        assert self.loop.proof is not None
-        return self.loop.proof
-
-    @cached_property
     def ticks(self) -> SaturatedTicks:
-        """The loop with its limits."""
         system, (n, m, *_) = self.errors.clocked, self.errors.widths
         put_out = drives(self.errors, [k % m for k in self.limited])
         return SaturatedTicks(
@@ -244,7 +225,7 @@ class _Search:
     @cached_property
     def continuous(self) -> SaturatedLoop:
         """The loop of (e, Δ, σ) as if its ticks went on all the time: for short samples nearly what it does."""
-        errors, gains, inputs, (n, m, N, *_) = self.errors, self.loop.gains, self.room.inputs, self.errors.widths
+        errors, gains, inputs, (n, m, N, *_) = self.errors, self.gains, self.room.inputs, self.errors.widths
         corrects = gains.M @ errors.plant.observed.C.floats / gains.sample_time
         own = self.own
         W = beside_loads(errors, tuple(range(m)))[:, n:]
@@ -271,14 +252,13 @@ class _Search:
             yield self.guarantee(every(self.controller), held)
             return
         for one in (one for one in self.starts if not kinds or one.kind in kinds):
-            if one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off):
-                best = self._largest(one)
-                if best is not None:
-                    yield best
+            known = one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off)
+            if known and (best := self._largest(one)):
+                yield best
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
         """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""
-        left, (_, m, N, *_), gains, inputs = self.bare.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
+        left, (_, m, N, *_), gains, inputs = self.bare.left, self.errors.widths, self.gains, list(self.room.inputs)
         assert left is not None
         G, room = self.as_newest(self.errors.before(starts)), np.maximum(left[inputs], 0.0)
         for faster in _FASTER:
@@ -289,7 +269,7 @@ class _Search:
                 whole = np.zeros((N, m))
                 whole[:, inputs] = E * (much * gains.sample_time)
                 made = replace(gains, E=short(whole))
-                found = replace(self, loop=replace(self.loop, gains=made))._largest(starts)
+                found = replace(self, gains=made)._largest(starts)
                 yield made, 0.0 if found is None else found.scale(left)
 
     def _largest(self, starts: Starts) -> StartGuarantee | None:
@@ -298,7 +278,7 @@ class _Search:
         assert left is not None
         before, own, inputs = self.errors.before(starts), self.own, len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
-        if self.loop.gains.delay:  # an input is made of the oldest prediction
+        if self.gains.delay:  # an input is made of the oldest prediction
             oldest = n + m + (self.errors.predicted - 1) * N
             ticked = np.eye(self.errors.order)[[*range(n), *range(oldest, oldest + N)]]
         change = (ticks.D.floats - ticks.before.floats)[inputs:]
@@ -319,7 +299,7 @@ class _Search:
                 break
         return best
 
-    def guarantee(self, starts: Starts, held: ClockedRegion) -> StartGuarantee:
+    def guarantee(self, starts: Starts, held: Held) -> StartGuarantee:
         """Return what a region says of starts, as z before the first tick."""
         inputs, own, m = self.room.inputs, starts.kind != "every", len(self.room.limits)
         loads = loads_at(self.loops, starts, inputs) if own else (0.0,) * len(inputs)
@@ -336,14 +316,6 @@ class _Search:
             forms=forms,
             before=self.errors.before(starts),
         )
-
-    def behind(self, entry: Any) -> list[Any]:
-        """Return the rows of starts of a certificate that they are told by: (e, Δ, σ), e alone, or all of z."""
-        (n, m, N, *_), rows = self.errors.widths, list(entry["starts"])
-        own = next((one for one in self.starts if one.kind == entry["of"]), None)
-        if own is not None and own.z is not None:
-            return rows
-        return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
 
 
 def if_alone(controller: ProvedController, asked: Asked, kinds: Collection[str]) -> Iterator[SampledRegion]:

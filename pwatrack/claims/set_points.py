@@ -41,7 +41,6 @@ class SetPoints(Claim):
             yield cls(demand=asked.set_points, room=asked.room)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return what proves it."""
         return {} if self.demand.missing else {"set_points": self.demand.proof}
 
     @property
@@ -82,7 +81,6 @@ class SetPoints(Claim):
             yield "NOT proved", "limits with set-points at run time"
 
     def _leaves(self, k: int, unit: str, beyond: list[int]) -> str:
-        """Say what that leaves of an input."""
         if self.room is None or k not in self.room.inputs:
             return ""
         if k in beyond:

@@ -4,21 +4,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import (
-    decimal,
-    diagonals,
-    double,
-    packed,
-    packed_forms,
-    read_channel,
-    read_diagonals,
-    read_signals,
-    signals,
-)
+from pwatrack.claims.exact_text import decimal, double, knots, read_channel, read_knots, read_signals, signals
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.lmi.clocked_tubes import Tube
 
 Sizes = Mapping[Channel, float]  # of channels that have a tube, the size that is 1 of each
+Tubes = tuple[tuple[Sizes, tuple[Tube, ...]], ...]  # of channels that have one together: the one that says less counts
 
 
 def told(
@@ -35,8 +26,7 @@ def told(
             "a": decimal(tube.a),
             "b": decimal(tube.b),
             "summed": int(tube.summed),
-            "Q": [packed(Q) for Q in tube.Q],
-            "T": diagonals(tube.T),
+            **knots(tube),
             "signals": signals(zip(forms, tube.sizes, strict=True)),
         }
 
@@ -50,8 +40,7 @@ def read(entries: Sequence[Any]) -> tuple[list[tuple[Sizes, Tube]], dict[Channel
     found = list[tuple[Sizes, Tube]]()
     for entry in entries:
         tube = Tube(
-            Q=packed_forms(entry["Q"]),
-            T=read_diagonals(entry["T"]),
+            **read_knots(entry),
             a=double(entry["a"]),
             b=double(entry["b"]),
             sizes=tuple(size for _, size in read_signals(entry["signals"])),
