@@ -28,8 +28,6 @@ from pwatrack.rational import doubles
 BOUNDS = "bounds.json"
 _CAUSES, _SIGNALS = 6, 6  # that are printed of all that act and of all that each does
 
-_Pair = tuple[tuple[Bounds, ...], tuple[Bounds, ...]]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SignalBounds(Claim):
@@ -40,7 +38,7 @@ class SignalBounds(Claim):
 
     loops: Loops  # what they are about
     solver: Solver = "structured"  # who is asked for them
-    known: _Pair | None = field(default=None, repr=False)  # what was proved of them before
+    known: Mapping[Channel, Bounds] | None = field(default=None, repr=False)  # what a certificate has of them
 
     statement: ClassVar[str] = (
         "Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state equation or one measured output, can "
@@ -51,21 +49,24 @@ class SignalBounds(Claim):
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SignalBounds"]:
         """Yield the bounds, which are searched for when they are looked at first: they take longer than the design."""
-        loops, known = loops_of(controller, () if asked.signals is None else asked.signals.forms), None
-        if told is not None:
-            found = {bounds.channel: bounds for bounds in map(read_bounds, told["bounds"])}
-            acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
-            known = acting, tuple(_with_peaks(loops, ("start", group[0]), found) for group in loops.starts)
+        loops = loops_of(controller, () if asked.signals is None else asked.signals.forms)
+        known = None if told is None else {bounds.channel: bounds for bounds in map(read_bounds, told["bounds"])}
         yield cls(loops=loops, solver=asked.solver, known=known)
 
     @cached_property
-    def both(self) -> _Pair:
+    def both(self) -> tuple[tuple[Bounds, ...], tuple[Bounds, ...]]:
         """What each disturbance and noise, and what each entry of a start can do."""
-        if self.known is not None:
-            return self.known
         with asking(self.solver):
-            acting = tuple(map(self.loops.bounds, self.loops.acting))
-            return acting, tuple(self.loops.bounds(("start", group[0])) for group in self.loops.starts)
+            acting = tuple(map(self._bounds, self.loops.acting))
+            return acting, tuple(self._bounds(("start", group[0])) for group in self.loops.starts)
+
+    def _bounds(self, channel: Channel) -> Bounds:
+        if self.known is None:
+            return self.loops.bounds(channel)
+        one = self.known.get(channel, Bounds(channel=channel, sizes={}, parts=()))
+        peaks = {form: gain for form, gain in self.loops.peaks(channel).items() if form in one.sizes}
+        sizes = {form: min(size, peaks.get(form, (0.0, np.inf))[1]) for form, size in one.sizes.items()}
+        return replace(one, sizes=sizes, peaks=peaks)
 
     @property
     def acting(self) -> tuple[Bounds, ...]:
@@ -209,13 +210,6 @@ def bound_entry(words: Words, bounds: Bounds, *, uncertain: bool = False) -> dic
         if form in bounds.peaks:
             signals[name] |= {"certified": bounds.certified[form], "peak_gain": list(bounds.peaks[form])}
     return {"kind": kind, "of": of, "per": f"1 {unit}".rstrip(), "signals": signals}
-
-
-def _with_peaks(loops: Loops, channel: Channel, found: Mapping[Channel, Bounds]) -> Bounds:
-    one = found.get(channel, Bounds(channel=channel, sizes={}, parts=()))
-    peaks = {form: gain for form, gain in loops.peaks(channel).items() if form in one.sizes}
-    sizes = {form: min(size, peaks.get(form, (0.0, np.inf))[1]) for form, size in one.sizes.items()}
-    return replace(one, sizes=sizes, peaks=peaks)
 
 
 def _with_norms(most: dict[Form, Array], controller: ProvedController, seen: Seen) -> None:

@@ -1,8 +1,8 @@
 """What a certificate holds in exact numbers, written and read again: matrices, signals, a plant, its form (11)."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,7 @@ def decimal_texts(X: Array | None) -> list[list[str]] | None:
 
 def doubles(rows: Any) -> Array:
     """Return the matrix that decimals were printed from."""
-    return np.array([[double(v) for v in row] for row in rows])
+    return np.array([[double(v) for v in row] for row in rows]).reshape(len(rows), len(rows[0]) if rows else 0)
 
 
 def radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
@@ -69,51 +69,73 @@ def whole(found: Any) -> dict[str, Any]:
     return {"integers": integers, "exponents": tuple(found["exponents"])}
 
 
-def knots(one: ClockedProof | ClockedRegion | Tube) -> dict[str, Any]:
-    """Return the forms, and the diagonals, at the knots of a loop that is sampled."""
-    name, forms = ("Q", one.Q) if isinstance(one, Tube) else ("P", one.P)
-    return {name: [packed(form) for form in forms], "T": [[decimal(v) for v in row] for row in one.T]}
+class Text(NamedTuple):
+    """How a value is written, and read again."""
+
+    write: Callable[[Any], Any]
+    read: Callable[[Any], Any]
+
+    def each(self) -> "Text":
+        """Return how several values are."""
+        return Text(lambda values: [self.write(v) for v in values], lambda told: tuple(map(self.read, told)))
 
 
-def read_knots(told: Any) -> dict[str, Any]:
-    """Return what was written by `knots`, as the classes of proofs take it."""
-    name = "Q" if "Q" in told else "P"
-    forms = tuple(Packed(**whole(form)) for form in told[name])
-    return {name: forms, "T": tuple(tuple(map(double, row)) for row in told["T"])}
+class Record:
+    """How objects of a class are written and read again: attributes by their names, in this order."""
+
+    def __init__(self, make: Callable[..., Any], **texts: Text) -> None:
+        self.make, self.texts = make, texts
+
+    def write(self, one: Any) -> dict[str, Any]:
+        """Return what is told of an object."""
+        return {key: of.write(one if of is OWN else getattr(one, key)) for key, of in self.texts.items()}
+
+    def read(self, told: Any, **known: Any) -> Any:
+        """Return the object, with attributes that are told elsewhere."""
+        for key, of in self.texts.items():
+            found = of.read(told[key])
+            known |= found if of is OWN else {key: found}
+        return self.make(**known)
 
 
-def clocked_content(proof: ClockedProof) -> dict[str, Any]:
-    """Return the forms that prove a loop that is sampled."""
-    return {"rate": decimal(proof.rate)} | knots(proof)
+DECIMAL, MATRIX, NUMBER = Text(decimal, double), Text(decimal_texts, doubles), Text(int, int)
+OWN = Text(packed, whole)  # the matrix that an object is itself, under a key of its own
+FORMS, ROWS = Text(packed, lambda told: Packed(**whole(told))).each(), DECIMAL.each().each()
 
-
-def read_clocked(told: Any) -> ClockedProof:
-    """Return what was written by `clocked_content`."""
-    return ClockedProof(rate=double(told["rate"]), **read_knots(told))
+CLOCKED = Record(ClockedProof, rate=DECIMAL, P=FORMS, T=ROWS)
+TUBE = Record(Tube, a=DECIMAL, b=DECIMAL, summed=Text(int, bool), Q=FORMS, T=ROWS)
+_ELLIPSOID = Record(InvariantEllipsoid, a=DECIMAL, Q=OWN)
+_PEAK = Record(PeakGain, unit=NUMBER, steps=Text(list, tuple).each(), P=OWN, size=DECIMAL)
+_PROOFS = {
+    Proof: Record(Proof, rate=DECIMAL, margin=DECIMAL, radius=DECIMAL, P=OWN),
+    PolynomialProof: Record(PolynomialProof, degree=NUMBER, rate=DECIMAL, T=MATRIX, P=OWN),
+    Dichotomy: Record(Dichotomy, margin=DECIMAL, P=OWN),
+}
+_HELD = {
+    StartEllipsoid: Record(StartEllipsoid, Q=OWN),
+    Region: Record(Region, Q=OWN, H=MATRIX),
+    ClockedRegion: Record(ClockedRegion, P=FORMS, T=ROWS, H=MATRIX),
+}
 
 
 def held_content(held: Held) -> dict[str, Any]:
     """Return what holds some starts."""
-    if isinstance(held, ClockedRegion | PolynomialRegion):
-        form = knots(held) if isinstance(held, ClockedRegion) else {"V": proof_content(held.proof)}
-        return form | {"H": decimal_texts(held.H)}
-    return {"Q": packed(held)} | ({"H": decimal_texts(held.H)} if isinstance(held, Region) else {})
+    if isinstance(held, PolynomialRegion):
+        return {"V": proof_content(held.proof), "H": decimal_texts(held.H)}
+    return _HELD[type(held)].write(held)
 
 
 def read_held(entry: Any) -> Held:
     """Return what was written by `held_content`, with weights of the starts, and sizes."""
     sizes = tuple(size for _, size in read_signals(entry["signals"]))
-    known: dict[str, Any] = {"weights": tuple(map(double, entry["weights"])), "sizes": sizes}
-    if "H" not in entry:
-        return StartEllipsoid(**whole(entry["Q"]), **known)
-    known["H"] = doubles(entry["H"])
-    if "Q" in entry:
-        return Region(**whole(entry["Q"]), **known)
-    if "P" in entry:
-        return ClockedRegion(**read_knots(entry), **known)
-    proof = read_proof(entry["V"])
-    assert isinstance(proof, PolynomialProof)
-    return PolynomialRegion(proof=proof, **known)
+    weights = DECIMAL.each().read(entry["weights"])
+    if "V" in entry:
+        proof = read_proof(entry["V"])
+        assert isinstance(proof, PolynomialProof)
+        return PolynomialRegion(proof=proof, H=doubles(entry["H"]), weights=weights, sizes=sizes)
+    of = ClockedRegion if "P" in entry else Region if "H" in entry else StartEllipsoid
+    held: Held = _HELD[of].read(entry, weights=weights, sizes=sizes)
+    return held
 
 
 def signals(sizes: Iterable[tuple[Form, float]]) -> list[list[Any]]:
@@ -130,53 +152,30 @@ def read_signals(found: Any) -> Iterator[tuple[Form, float]]:
 def bounds_content(bounds: Bounds) -> dict[str, Any]:
     """Return what one channel can do, with the ellipsoids and peak gains that prove it."""
     parts = [
-        {
-            "loop": part.loop,
-            "channel": list(part.channel),
-            "a": decimal(part.ellipsoid.a),
-            "Q": packed(part.ellipsoid),
-            "signals": signals(zip(part.signals, part.ellipsoid.sizes, strict=True)),
-        }
+        {"loop": part.loop, "channel": list(part.channel)}
+        | _ELLIPSOID.write(part.ellipsoid)
+        | {"signals": signals(zip(part.signals, part.ellipsoid.sizes, strict=True))}
         for part in bounds.parts
     ]
-    peaks = [
-        {
-            "part": part,
-            "unit": gain.unit,
-            "steps": [list(run) for run in gain.steps],
-            "P": packed(gain),
-            "size": decimal(gain.size),
-        }
-        for part, gain in bounds.proved.items()
-    ]
+    peaks = [{"part": part} | _PEAK.write(gain) for part, gain in bounds.proved.items()]
     found = {"channel": list(bounds.channel), "signals": signals(bounds.certified.items()), "parts": parts}
     return found | ({"peaks": peaks} if peaks else {})
 
 
 def read_bounds(entry: Any) -> Bounds:
     """Return what was written by `bounds_content`."""
-    parts = tuple(
-        SignalEllipsoid(
-            loop=part["loop"],
-            channel=read_channel(part["channel"]),
-            signals=tuple(form for form, _ in read_signals(part["signals"])),
-            ellipsoid=InvariantEllipsoid(
-                **whole(part["Q"]), a=double(part["a"]), sizes=tuple(size for _, size in read_signals(part["signals"]))
-            ),
-        )
-        for part in entry["parts"]
+    parts = list[SignalEllipsoid]()
+    for part in entry["parts"]:
+        each = list(read_signals(part["signals"]))
+        channel, forms = read_channel(part["channel"]), tuple(form for form, _ in each)
+        ellipsoid = _ELLIPSOID.read(part, sizes=tuple(size for _, size in each))
+        parts.append(SignalEllipsoid(loop=part["loop"], channel=channel, signals=forms, ellipsoid=ellipsoid))
+    return Bounds(
+        channel=read_channel(entry["channel"]),
+        sizes=dict(read_signals(entry["signals"])),
+        parts=tuple(parts),
+        proved={peak["part"]: _PEAK.read(peak) for peak in entry.get("peaks", [])},
     )
-    proved = {
-        peak["part"]: PeakGain(
-            unit=peak["unit"],
-            steps=tuple((k, count) for k, count in peak["steps"]),
-            size=double(peak["size"]),
-            **whole(peak["P"]),
-        )
-        for peak in entry.get("peaks", [])
-    }
-    sizes = dict(read_signals(entry["signals"]))
-    return Bounds(channel=read_channel(entry["channel"]), sizes=sizes, parts=parts, proved=proved)
 
 
 def read_channel(channel: Any) -> Channel:
@@ -186,35 +185,22 @@ def read_channel(channel: Any) -> Channel:
 
 def proof_content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
     """Return the proof of an inequality."""
-    P = packed(proof)
+    found: dict[str, Any] = {"of": proof.role.name} | ({"bounded": "both ways"} if isinstance(proof, Dichotomy) else {})
+    found |= _PROOFS[type(proof)].write(proof)
     if isinstance(proof, PolynomialProof):
-        N = [packed(Packed(integers=N_i, exponents=proof.N_exponents)) for N_i in proof.N]
-        told = {"degree": proof.degree, "rate": decimal(proof.rate)}
-        return {"of": proof.role.name, **told, "T": decimal_texts(proof.T), "P": P, "N": N}
-    if isinstance(proof, Dichotomy):
-        return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
-    told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}
-    return {"of": proof.role.name, **told, "P": P}
+        found["N"] = [packed(Packed(integers=N_i, exponents=proof.N_exponents)) for N_i in proof.N]
+    return found
 
 
 def read_proof(proof: Any) -> AnyProof | Dichotomy:
     """Return what was written by `proof_content`."""
-    role, P = _ROLES[proof["of"]], whole(proof["P"])
-    if kind(proof) == "polynomial":
+    known: dict[str, Any] = {"role": _ROLES[proof["of"]]}
+    if "N" in proof:
         each = [whole(N) for N in proof["N"]]
-        return PolynomialProof(
-            role=role,
-            degree=int(proof["degree"]),
-            rate=double(proof["rate"]),
-            T=doubles(proof["T"]),
-            N=tuple(N["integers"] for N in each),
-            N_exponents=each[0]["exponents"],
-            **P,
-        )
-    if kind(proof) == "P of any sign":
-        return Dichotomy(role=role, margin=double(proof["margin"]), **P)
-    rate, margin, radius = (double(proof[name]) for name in ("rate", "margin", "radius"))
-    return Proof(role=role, rate=rate, margin=margin, radius=radius, **P)
+        known |= {"N": tuple(N["integers"] for N in each), "N_exponents": each[0]["exponents"]}
+    of = {"polynomial": PolynomialProof, "P of any sign": Dichotomy}.get(kind(proof), Proof)
+    found: AnyProof | Dichotomy = _PROOFS[of].read(proof, **known)
+    return found
 
 
 def plant_content(plant: PWASystem) -> dict[str, Any]:

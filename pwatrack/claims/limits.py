@@ -15,7 +15,6 @@ from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import CLOSE, Held, decimal, decimal_texts, doubles, held_content, read_held, signals
 from pwatrack.control.bounds import Form, Loop, Loops
-from pwatrack.control.compensation import Compensation
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
@@ -240,19 +239,18 @@ def promises(
         told: A certificate: then nothing is searched.
         forms: Signals of x − x_d; `left` is about these then.
     """
-    loops, p = loops_of(controller, unmoved=True), len(controller.L) - len(controller.plant.B)
-    off = taken_off(controller.compensation, loops.at_inputs)
+    loops = loops_of(controller, unmoved=True)
     inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[StartGuarantee]()
     entries = [] if told is None else told["limits"]
     known = {one["of"]: one for one in entries if (one["signals"][0][0] not in ("input", "drive")) == bool(forms)}
     for one in starts if told is None else [nearby(one, known) for one in starts]:
         loop: Loop = "controller" if one.delta is None else "joint"
-        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not off)):
+        if loop not in loops.M or not looked_at(controller, one):
             continue
         if forms:
             rows, loads = above(*(loops.row(loop, forms[k]) for k in inputs)), (0.0,) * len(inputs)
         else:
-            rows, loads = drive_rows(loops, loop, inputs), loads_at(loops, one, inputs)
+            rows, loads = drive_rows(loops, loop, inputs), loads_at(controller, one, inputs)
         promise = StartGuarantee(starts=one, loop=loop, inputs=inputs, held=None, loads=loads, forms=forms)
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
@@ -273,19 +271,33 @@ def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
     return above(*(loops.row(loop, (kind, k)) for k in inputs))
 
 
-def loads_at(loops: Loops, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
+def at_inputs(controller: ProvedController) -> tuple[int, ...]:
+    """Return the input that each load is added to, if all are constants at inputs."""
+    loads = controller.plant.loads
+    return () if loads is None else loads.inputs(controller.plant.exact.B) or ()
+
+
+def loads_at(controller: ProvedController, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
     """Return how large the loads at each of these inputs are together."""
-    acting = np.zeros(loops.N - loops.n) if starts.load is None else np.abs(starts.load).sum(axis=1)
-    at = np.array(loops.at_inputs, dtype=int)
-    return tuple(float(acting[at == k].sum()) if acting.any() else 0.0 for k in inputs)
+    if starts.load is None or not starts.load.any():
+        return (0.0,) * len(inputs)
+    acting, at = np.abs(starts.load).sum(axis=1), np.array(at_inputs(controller), dtype=int)
+    return tuple(float(acting[at == k].sum()) for k in inputs)
 
 
-def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
-    """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
-    if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
-        return False
-    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at_inputs)]
+def taken_off(controller: ProvedController) -> bool:
+    """Say whether estimates of loads, if any, do nothing but to be taken off the input that each load is added to."""
+    added, at = controller.compensation, at_inputs(controller)
+    if not at or any(added.X.centre.entries()) or added.X.radius is not None:
+        return controller.plant.loads is None
+    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at)]
     return bool(np.abs(off).max() <= _ROUNDING and np.abs(added.rate).max(initial=0.0) <= _ROUNDING)
+
+
+def looked_at(controller: ProvedController, starts: Starts) -> bool:
+    """Say whether starts can be looked at: with another x̂ loads act too, and are to be taken off inputs."""
+    told = (starts.load is None) == (controller.plant.loads is None)
+    return starts.delta is None or (told and taken_off(controller))
 
 
 def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:

@@ -16,7 +16,16 @@ from pwatrack.arrays import Array
 from pwatrack.ball_matrix import above, places, zero
 from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import Held, decimal_texts, read_held
-from pwatrack.claims.limits import NoSaturation, StartGuarantee, drive_rows, loads_at, nearby, taken_off
+from pwatrack.claims.limits import (
+    NoSaturation,
+    StartGuarantee,
+    at_inputs,
+    drive_rows,
+    loads_at,
+    looked_at,
+    nearby,
+    taken_off,
+)
 from pwatrack.control.bounds import Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
@@ -83,7 +92,7 @@ class RegionClaim(Claim):
         run = next((starts for starts in room.starts if starts.kind == "run"), None)
         bears = exact = loads is None or (run is not None and run.delta is None)
         if loads is not None and left is not None and run is not None and run.load is not None:
-            at, acting = np.array(loads.inputs(controller.plant.exact.B) or ()), -run.load.sum(axis=1)
+            at, acting = np.array(at_inputs(controller)), -run.load.sum(axis=1)
             each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
             bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
         every = (one for one in self.found if one.starts.kind == "every")
@@ -118,10 +127,10 @@ class LimitedRegion(RegionClaim):
             if missing or told is None:
                 found = () if missing else regions(controller, room)
             else:
-                entries, loops = {entry["of"]: entry for entry in told["regions"]}, loops_of(controller, unmoved=True)
+                entries = {entry["of"]: entry for entry in told["regions"]}
                 starts = [every(controller), *(nearby(one, entries) for one in room.starts)]
                 known = [(one, read_held(entries[one.kind])) for one in starts if one.kind in entries]
-                found = tuple(_of(loops, one, room, held) for one, held in known)
+                found = tuple(_of(controller, one, room, held) for one, held in known)
             yield cls(room=room, found=found, missing=missing or _NOT_FOUND * (not found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
@@ -157,9 +166,8 @@ def _with_loads(room: Headroom, words: Words, controller: ProvedController, one:
         return ""
     if one.starts.delta is None:
         return " with x̂ = x, while no load acts"
-    at = {k for k in controller.plant.loads.inputs(controller.plant.exact.B) or () if k in one.inputs}
     named = []
-    for k in sorted(at):
+    for k in sorted({*at_inputs(controller)} & {*one.inputs}):
         name, (low, high) = words.plant.inputs[k], np.abs(room.bearable[k]).tolist()
         ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
         named.append(f"{name} from {ends}")
@@ -196,51 +204,50 @@ def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarante
     loop = _saturated(loops, "controller", inputs)
     held = loop.everywhere() if loop.work <= MOST_WORK else None
     if held is not None:
-        return (_of(loops, every(controller), room, held),)
-    found, acts = list[StartGuarantee](), taken_off(controller.compensation, loops.at_inputs)
+        return (_of(controller, every(controller), room, held),)
+    found = list[StartGuarantee]()
     for one in room.starts:
         name: Loop = "controller" if one.delta is None else "joint"
-        known = one.delta is None or loops.n == loops.N or (one.load is not None and acts)
-        if name not in loops.M or not known:
+        if name not in loops.M or not looked_at(controller, one):
             continue
         loop = _saturated(loops, name, inputs)
         balls = any(X.radius is not None for X in loop.M)  # a polynomial is asked of all different cells then
         enough = 0.0 if balls and len(controller.plant.hull) < len(places(controller.plant.exact.A)) else np.inf
-        tried = _largest(loops, loop, one, room, enough) if loop.work <= MOST_WORK else None
-        found += [tried] if tried is not None else []
+        if loop.work <= MOST_WORK and (tried := _largest(controller, loop, one, room, enough)):
+            found.append(tried)
     return tuple(found)
 
 
-def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom, enough: float) -> StartGuarantee | None:
+def _largest(
+    controller: ProvedController, loop: SaturatedLoop, starts: Starts, room: Headroom, enough: float
+) -> StartGuarantee | None:
     """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion.
 
     Where an ellipsoid holds enough times the starts no polynomial is looked for.
     """
     left, inputs = room.spare, list(room.inputs)
     assert left is not None
-    loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
+    loads, share, best = np.array(loads_at(controller, starts, inputs)), 0.0, None
     for _ in range(_TRIES if loads.any() else 1):
         held = region_around(loop, starts.G, np.maximum(left[inputs] - share * loads, 0.0), enough=enough)
         if held is None:
             break
-        found = _of(loops, starts, room, held)
+        found = _of(controller, starts, room, held)
         share = found.scale(left)
         best = found if best is None or share > best.scale(left) else best
     return best
 
 
-def _of(loops: Loops, starts: Starts, room: Headroom, held: Held) -> StartGuarantee:
+def _of(controller: ProvedController, starts: Starts, room: Headroom, held: Held) -> StartGuarantee:
     loop: Loop = "joint" if starts.delta is not None and starts.kind != "every" else "controller"
-    inputs = room.inputs
-    loads = (0.0,) * len(inputs) if starts.kind == "every" else loads_at(loops, starts, inputs)
-    return StartGuarantee(starts=starts, loop=loop, inputs=inputs, held=held, loads=loads)
+    loads = loads_at(controller, starts, room.inputs)
+    return StartGuarantee(starts=starts, loop=loop, inputs=room.inputs, held=held, loads=loads)
 
 
 def every(controller: ProvedController) -> Starts:
     """Return all starts, of Δ too where estimates of loads do not move x_d."""
     n, N = len(controller.plant.B), len(controller.L)
-    free = n == N or taken_off(controller.compensation, loops_of(controller, unmoved=True).at_inputs)
-    return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if free else None)
+    return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if taken_off(controller) else None)
 
 
 def _saturated(loops: Loops, loop: Loop, inputs: tuple[int, ...]) -> SaturatedLoop:

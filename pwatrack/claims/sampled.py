@@ -10,7 +10,7 @@ import numpy as np
 
 from pwatrack.arrays import Array, amount, number_text, up
 from pwatrack.claims.decay import in_a_line
-from pwatrack.claims.exact_text import clocked_content, decimal, decimal_texts, double, doubles, read_clocked
+from pwatrack.claims.exact_text import CLOCKED, DECIMAL, MATRIX, NUMBER, Record, Text
 from pwatrack.claims.practical import Practical
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.estimated_loads import OnEstimates, refused
@@ -28,6 +28,8 @@ from pwatrack.model.sizes import Sizes
 
 _LAST_DIGIT = 1e-5  # of the largest entry of a gain, in sizes
 _NOT_FOUND = "no forms were found that prove it"
+_TIMES: dict[str, Text] = {"sample_time": DECIMAL, "substeps": NUMBER, "delay": NUMBER, "jitter": DECIMAL}
+_GAINS = Record(SampledGains, K=MATRIX, M=MATRIX, E=MATRIX, **_TIMES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,10 +90,10 @@ class SampledLoop(SampledClaim):
         """Yield the proof, or why there is none, where the loop is to be sampled."""
         content = None if told is None else told["sampled"]
         if content is not None:
-            gains = _read_gains(content)
+            gains = _GAINS.read(content)
             cheaper = None if asked.sampled is None else _cheaper(controller, asked, gains)
             merged = bool(controller.claims_of(Practical))
-            yield cls(gains=gains, proof=read_clocked(content), merged=merged, cheaper=cheaper)
+            yield cls(gains=gains, proof=CLOCKED.read(content), merged=merged, cheaper=cheaper)
         elif asked.sampled is not None:
             tried = _candidates(controller, asked, asked.sampled)
             found = _proved(controller, tried, search=told is None)
@@ -105,20 +107,9 @@ class SampledLoop(SampledClaim):
     def data(self, controller: ProvedController) -> dict[str, Any]:
         if self.proof is None:
             return {}
-        gains, errors = self.gains, errors_of(controller, self.gains)
-        return {
-            "sampled": {
-                "K": decimal_texts(gains.K),
-                "M": decimal_texts(gains.M),
-                "E": decimal_texts(gains.E),
-                "rows": errors.R.texts,
-                "sample_time": decimal(gains.sample_time),
-                "substeps": gains.substeps,
-                "delay": gains.delay,
-                "jitter": decimal(gains.jitter),
-                **clocked_content(self.proof),
-            }
-        }
+        gains, rows = _GAINS.write(self.gains), errors_of(controller, self.gains).R.texts
+        before = {name: gains[name] for name in "KME"} | {"rows": rows}
+        return {"sampled": before | gains | CLOCKED.write(self.proof)}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         yield "sampled loop", self.sentence
@@ -245,15 +236,3 @@ def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:
         return False
     seen = ((sizes.gain(of.K), sizes.correction(of.M)) for of in (one, other))
     return all(np.abs(a - b).max() <= _LAST_DIGIT * np.abs(b).max() for a, b in zip(*seen, strict=True))
-
-
-def _read_gains(told: Any) -> SampledGains:
-    return SampledGains(
-        K=doubles(told["K"]),
-        M=doubles(told["M"]),
-        E=doubles(told["E"]).reshape(len(told["E"]), len(told["K"])),
-        sample_time=double(told["sample_time"]),
-        substeps=told["substeps"],
-        delay=told["delay"],
-        jitter=double(told["jitter"]),
-    )

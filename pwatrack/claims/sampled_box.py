@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from pwatrack.arrays import up
-from pwatrack.claims.exact_text import clocked_content, read_clocked
+from pwatrack.claims.exact_text import CLOCKED
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledClaim, SampledLoop, errors_of
@@ -39,12 +39,12 @@ class SampledBox(SampledClaim):
                 proof, missing = with_corners(errors, len(loop.proof.P) // errors.parts - 1)
             else:
                 content = told["sampled_uncertain"]
-                proof = None if content is None else read_clocked(content)
+                proof = None if content is None else CLOCKED.read(content)
                 missing = "no proof is in the certificate" * (proof is None)
             yield cls(of=of, gains=loop.gains, proof=proof, missing=missing)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        return {} if self.proof is None else {"sampled_uncertain": clocked_content(self.proof)}
+        return {} if self.proof is None else {"sampled_uncertain": CLOCKED.write(self.proof)}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         return {"sampled_uncertain": {"rate": None if self.proof is None else self.rate}}

@@ -15,13 +15,12 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import Held, read_held
-from pwatrack.claims.limits import StartGuarantee, loads_at, nearby, taken_off
+from pwatrack.claims.limits import StartGuarantee, loads_at, looked_at, nearby, taken_off
 from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.control.bounds import Form, Loops
+from pwatrack.control.bounds import Form
 from pwatrack.control.candidates import short
 from pwatrack.control.controller import Asked, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
@@ -182,11 +181,6 @@ class _Search:
         return found
 
     @cached_property
-    def loops(self) -> Loops:
-        """The loops in continuous time, which know where loads act."""
-        return loops_of(self.controller, unmoved=True)
-
-    @cached_property
     def starts(self) -> list[Starts]:
         """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0).
 
@@ -196,7 +190,7 @@ class _Search:
             run = [] if self.begun is None else [one for one in self.room.starts if one.kind == "run"]
             late = [replace(one, z=self.begun) for one in run]
             return [*(one for one in self.room.starts if one.kind == "exact"), *late]
-        own, loads = ("exact", "sizes", "members"), self.loops.N - self.loops.n
+        own, loads = ("exact", "sizes", "members"), len(self.controller.L) - len(self.controller.plant.B)
         return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
 
     @cached_property
@@ -245,15 +239,13 @@ class _Search:
 
     def regions(self, kinds: Collection[str] = ()) -> Iterator[StartGuarantee]:
         """Yield what is proved: of every start, or of multiples of those that are given, or of some kinds of them."""
-        off = taken_off(self.controller.compensation, self.loops.at_inputs)
-        free = (self.loops.n == self.loops.N or off) and not self.ticks.before.floats.any()
+        free = taken_off(self.controller) and not self.ticks.before.floats.any()
         held = self.ticks.everywhere() if free else None
         if held is not None:
             yield self.guarantee(every(self.controller), held)
             return
         for one in (one for one in self.starts if not kinds or one.kind in kinds):
-            known = one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off)
-            if known and (best := self._largest(one)):
+            if looked_at(self.controller, one) and (best := self._largest(one)):
                 yield best
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
@@ -301,8 +293,7 @@ class _Search:
 
     def guarantee(self, starts: Starts, held: Held) -> StartGuarantee:
         """Return what a region says of starts, as z before the first tick."""
-        inputs, own, m = self.room.inputs, starts.kind != "every", len(self.room.limits)
-        loads = loads_at(self.loops, starts, inputs) if own else (0.0,) * len(inputs)
+        inputs, m = self.room.inputs, len(self.room.limits)
         forms: tuple[Form, ...] = ()
         if self.limited != inputs:
             kind: Literal["drive", "input"] = "input" if starts.load is None else "drive"
@@ -312,7 +303,7 @@ class _Search:
             loop="joint",
             inputs=self.limited,
             held=held,
-            loads=loads + (0.0,) * (len(self.limited) - len(inputs)),
+            loads=loads_at(self.controller, starts, inputs) + (0.0,) * (len(self.limited) - len(inputs)),
             forms=forms,
             before=self.errors.before(starts),
         )
