@@ -86,8 +86,8 @@ class KeptLimits(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         idle = WITHOUT * (controller.plant.loads is not None)
-        texts = [*self._takes(words, idle), *self._kept(words, controller)]
-        yield from ((label, text) for label, text in zip(["kept", *[""] * len(texts)], texts, strict=False))
+        for k, text in enumerate([*self._takes(words, idle), *self._kept(words, controller)]):
+            yield "" if k else "kept", text
 
     def _takes(self, words: Words, idle: str) -> Iterator[str]:
         """Yield what is taken of each limit, without loads that are estimated."""

@@ -35,7 +35,6 @@ class StartGuarantee:
         held: The ellipsoid, or what stands for it; None where none of them is moved.
         loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
         forms: What it is about where it is not about inputs.
-        before: Starts as its loop has them, where that is of more than (e, Δ, σ); else None.
     """
 
     starts: Starts
@@ -44,7 +43,6 @@ class StartGuarantee:
     held: Held | None
     loads: tuple[float, ...]
     forms: tuple[Form, ...] = ()
-    before: Array | None = None
 
     @property
     def _sizes(self) -> tuple[float, ...]:
@@ -72,7 +70,7 @@ class StartGuarantee:
         scale = self.scale(left)
         if self.held is None or not 0 < scale < np.inf:
             return None
-        rays = np.zeros((len(directions), len(self.starts.G if self.before is None else self.before)))
+        rays = np.zeros((len(directions), len(_rows(self.starts))))
         rays[:, plane] = directions
         return np.asarray(scale * self.held.reach(rays)[:, None] * directions)
 
@@ -112,7 +110,7 @@ class StartGuarantee:
         return {
             "of": self.starts.kind,
             "loop": self.loop,
-            "starts": decimal_texts(self.starts.G if self.before is None else self.before),
+            "starts": decimal_texts(_rows(self.starts)),
             "weights": [decimal(w) for w in self.held.weights],
             "signals": signals(
                 (self.forms[k] if self.forms else (kind, k), size)
@@ -168,8 +166,8 @@ class NoSaturation(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         loads = controller.plant.loads is not None
-        texts = [*self._takes(words, WITHOUT * loads), *self._reaches(words, loads=loads)]
-        yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
+        for k, text in enumerate([*self._takes(words, WITHOUT * loads), *self._reaches(words, loads=loads)]):
+            yield "" if k else "limits", text
 
     def _takes(self, words: Words, idle: str) -> Iterator[str]:
         """Yield what the feedforward takes of each limit, without loads that are estimated."""
@@ -302,7 +300,7 @@ def looked_at(controller: ProvedController, starts: Starts) -> bool:
 
 def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
-    G, n = starts.G if starts.z is None else starts.z, len(starts.e)
+    G, n = _rows(starts), len(starts.e)
     told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
     G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
     if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
@@ -311,6 +309,11 @@ def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
         return replace(starts, z=told)
     delta, load = (rows if len(rows) else None for rows in (told[n : 2 * n], told[2 * n :]))
     return replace(starts, e=told[:n], delta=delta, load=load)
+
+
+def _rows(starts: Starts) -> Array:
+    """Return G as the loop that they are looked at in has it."""
+    return starts.G if starts.z is None else starts.z
 
 
 def _peak(peak: Peak, k: int) -> dict[str, list[float]]:

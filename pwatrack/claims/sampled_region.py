@@ -299,13 +299,12 @@ class _Search:
             kind: Literal["drive", "input"] = "input" if starts.load is None else "drive"
             forms = (*((kind, k) for k in range(m)), *(("change", k) for k in range(m)))
         return StartGuarantee(
-            starts=starts,
+            starts=replace(starts, z=self.errors.before(starts)),
             loop="joint",
             inputs=self.limited,
             held=held,
             loads=loads_at(self.controller, starts, inputs) + (0.0,) * (len(self.limited) - len(inputs)),
             forms=forms,
-            before=self.errors.before(starts),
         )
 
 

@@ -116,9 +116,10 @@ class TubeSearch:
             return None
         at = _SHARES.index(best.share)
         best = self._walked(drive, best, [best.share] * _FINER, summed)
-        if self._quick:
+        quick = self.program.clock.unknowns**3 <= _QUICK
+        if quick:
             best = self._walked(drive, best, _SHARES[at + 1 :], summed)
-        if self._quick and best.share == _SHARES[of_mean]:
+        if quick and best.share == _SHARES[of_mean]:
             best = self._walked(drive, best, _SHARES[:at][::-1], summed)
         return replace(best.tube, sizes=best.tube.sizes[: len(self.forms)])
 
@@ -130,10 +131,6 @@ class TubeSearch:
                 break
             best = more
         return best
-
-    @property
-    def _quick(self) -> bool:
-        return self.program.clock.unknowns**3 <= _QUICK
 
     def _of_mean(self, drive: Drive) -> int:
         """Return which share of the rate leaves least in the loop of the mean of all vertices."""
