@@ -22,8 +22,6 @@ from pwatrack.lmi.peak_gain import PeakGain
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
 from pwatrack.lmi.polynomial_region import PolynomialRegion
 from pwatrack.lmi.saturated import Region
-from pwatrack.model.loads import Loads
-from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Real
@@ -70,10 +68,10 @@ def whole(found: Any) -> dict[str, Any]:
 
 
 class Text(NamedTuple):
-    """How a value is written, and read again."""
+    """How a value is written, and read again if it is."""
 
     write: Callable[[Any], Any]
-    read: Callable[[Any], Any]
+    read: Callable[[Any], Any] = str
 
     def each(self) -> "Text":
         """Return how several values are."""
@@ -83,7 +81,7 @@ class Text(NamedTuple):
 class Record:
     """How objects of a class are written and read again: attributes by their names, in this order."""
 
-    def __init__(self, make: Callable[..., Any], **texts: Text) -> None:
+    def __init__(self, make: Callable[..., Any] = dict, **texts: Text) -> None:
         self.make, self.texts = make, texts
 
     def write(self, one: Any) -> dict[str, Any]:
@@ -116,6 +114,14 @@ _HELD = {
     Region: Record(Region, Q=OWN, H=MATRIX),
     ClockedRegion: Record(ClockedRegion, P=FORMS, T=ROWS, H=MATRIX),
 }
+
+_CENTRE = Text(lambda value: text(Real.of(value).centre))
+_EXACT, _RADIUS, _LIST = Text(lambda X: X.texts), Text(lambda X: X.radius_texts), Text(list)
+FUNCTION = Record(breakpoints=_CENTRE.each(), slopes=_CENTRE.each(), value=_CENTRE)
+TERM = Record(row=_CENTRE.each(), constant=_CENTRE, direction=_CENTRE.each(), function=Text(FUNCTION.write))
+_NAMES, _PORTS = Record(states=_LIST, inputs=_LIST, outputs=_LIST), Record(B=_EXACT, C=_EXACT)
+_LOADS, _LOAD_RADII = Record(names=_LIST, where=_LIST, E=_EXACT, S=_EXACT), Record(E=_RADIUS, S=_RADIUS)
+_FIELD, _FIELD_RADII = Record(A=_EXACT.each(), b=_EXACT.each()), Record(A=Text(radii), b=Text(radii))
 
 
 def held_content(held: Held) -> dict[str, Any]:
@@ -211,10 +217,15 @@ def plant_content(plant: PWASystem) -> dict[str, Any]:
         "H": [[text(v) for v in row] for row in partition.exact_H],
         "h": [text(v) for v in partition.exact_h],
         "signs": partition.signs.tolist(),
-        "A": [X.texts for X in exact.A],
-        "b": [X.texts for X in exact.b],
-        "radius": {"A": radii(exact.A), "b": radii(exact.b), **_port_radii(exact)},
+        **_FIELD.write(exact),
+        "radius": _FIELD_RADII.write(exact) | _port_radii(exact),
     }
+
+
+def corner_content(corner: Matrices) -> dict[str, Any]:
+    """Return what is another in a plant at the corner of a box."""
+    radius = _FIELD_RADII.write(corner) | {"B": corner.B.radius_texts}
+    return _FIELD.write(corner) | {"B": corner.B.texts, "radius": radius}
 
 
 def elements_content(plant: PWASystem) -> dict[str, Any]:
@@ -224,29 +235,10 @@ def elements_content(plant: PWASystem) -> dict[str, Any]:
         "A": plant.written.A.texts,
         "b": plant.written.b.texts,
         "elements": [
-            term_content(one) | {"segments": [f"{one.name} {segment}" for segment in one.function.segments]}
+            TERM.write(one) | {"segments": [f"{one.name} {segment}" for segment in one.function.segments]}
             for one in plant.written.elements
         ],
         "radius": {"A": None, "b": None, **_port_radii(plant.exact)},
-    }
-
-
-def term_content(element: Nonlinearity) -> dict[str, Any]:
-    """Return direction function(row x + constant)."""
-    return {
-        "row": [_centre(v) for v in element.row],
-        "constant": _centre(element.constant),
-        "direction": [_centre(v) for v in element.direction],
-        "function": function_content(element.function),
-    }
-
-
-def function_content(function: PiecewiseLinear) -> dict[str, Any]:
-    """Return a piecewise linear function."""
-    return {
-        "breakpoints": [_centre(v) for v in function.breakpoints],
-        "slopes": [_centre(v) for v in function.slopes],
-        "value": _centre(function.value),
     }
 
 
@@ -267,31 +259,15 @@ def form_content(form: NormalForm, *, listed: bool) -> dict[str, Any]:
 
 def _ports(plant: PWASystem) -> dict[str, Any]:
     """Return what all ways of writing a plant have in common."""
+    loads = plant.loads
     return {
-        "states": list(plant.states),
-        "inputs": list(plant.inputs),
-        "outputs": list(plant.outputs),
+        **_NAMES.write(plant),
         "tracked": list(plant.tracked_names),
-        "B": plant.exact.B.texts,
-        "C": plant.exact.C.texts,
+        **_PORTS.write(plant.exact),
         "tracked_rows": plant.exact.tracked.texts,
-        "loads": None if plant.loads is None else _loads(plant.loads),
+        "loads": None if loads is None else _LOADS.write(loads) | {"radius": _LOAD_RADII.write(loads)},
     }
 
 
 def _port_radii(exact: Matrices) -> dict[str, Any]:
     return {"B": exact.B.radius_texts, "C": exact.C.radius_texts, "tracked_rows": exact.tracked.radius_texts}
-
-
-def _loads(loads: Loads) -> dict[str, Any]:
-    return {
-        "names": list(loads.names),
-        "where": list(loads.where),
-        "E": loads.E.texts,
-        "S": loads.S.texts,
-        "radius": {"E": loads.E.radius_texts, "S": loads.S.radius_texts},
-    }
-
-
-def _centre(value: Number) -> str:
-    return text(Real.of(value).centre)

@@ -19,14 +19,7 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, text, zero
-from pwatrack.claims.exact_text import (
-    bounds_content,
-    function_content,
-    plant_content,
-    read_bounds,
-    signals,
-    term_content,
-)
+from pwatrack.claims.exact_text import FUNCTION, TERM, bounds_content, plant_content, read_bounds, signals
 from pwatrack.claims.limits import ideal
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
@@ -277,15 +270,9 @@ def merged_ways(told: Any, plant: PWASystem) -> tuple[Simplification, ...]:
 
 
 def _merge_content(merge: Simplification) -> dict[str, Any]:
-    return {
-        "element": merge.element,
-        "first": merge.first,
-        "last": merge.last,
-        "name": merge.nonlinearity.name,
-        **term_content(merge.nonlinearity),
-        "merged": function_content(merge.function),
-        "largest": text(merge.largest),
-    }
+    place = {"element": merge.element, "first": merge.first, "last": merge.last}
+    found = place | {"name": merge.nonlinearity.name} | TERM.write(merge.nonlinearity)
+    return found | {"merged": FUNCTION.write(merge.function), "largest": text(merge.largest)}
 
 
 def _width_text(words: Words, merge: Simplification) -> str:

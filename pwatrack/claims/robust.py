@@ -16,7 +16,7 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
 from pwatrack.claims.bounds import from_start, with_acting
-from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
+from pwatrack.claims.exact_text import bounds_content, corner_content, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.convergence import best_certificate
@@ -173,16 +173,6 @@ def prove_box(
             raise _undecided(len(M), order, worst)
         bounds.append(Bounds(channel=channel, sizes=sizes, parts=parts))
     return Robust(box=box, plant=plant, corners=tuple(corners), count=len(M), bounds=tuple(bounds))
-
-
-def corner_content(corner: Matrices) -> dict[str, Any]:
-    """Return the matrices at a corner in exact numbers."""
-    return {
-        "A": [X.texts for X in corner.A],
-        "b": [X.texts for X in corner.b],
-        "B": corner.B.texts,
-        "radius": {"A": radii(corner.A), "b": radii(corner.b), "B": corner.B.radius_texts},
-    }
 
 
 def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:
