@@ -30,7 +30,7 @@ from pwatrack.model.conditions import Method, Sampling
 from pwatrack.model.pwa import PWASystem
 from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.pipeline import asked_of, design, simulate
-from tests.sampled import all_of_size_one, worst_found
+from tests.sampled import all_of_size_one, tubes_alone, worst_found
 
 SPECS = [*sorted(Path("specs").glob("*.yaml")), *sorted(Path("specs/gallery").glob("*.yaml"))]
 _SAMPLES = 25  # in a period of the fastest mode
@@ -74,7 +74,7 @@ def beside_continuous(controller: ProvedController, asked: Asked) -> tuple[list[
     times, reached = list[float](), list[float]()
     for claim in SampledBounds.prove(controller, replace(asked, acting=all_of_size_one)):
         known = {bounds.channel: bounds.sizes for bounds in controller.claim(SignalBounds).acting}
-        for channel, (tube, *_) in claim.tubes.items():
+        for channel, (tube, *_) in tubes_alone(claim).items():
             for form, size in zip(seen(controller), tube.sizes, strict=True):
                 if form[0] == controller.tracking and known.get(channel, {}).get(form):
                     times.append(size / known[channel][form])

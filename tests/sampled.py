@@ -16,6 +16,7 @@ from pwatrack.control.sampled_disturbances import Acting, driven
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.clocked_tubes import Tube
 from pwatrack.model.pwa import PWASystem
 from pwatrack.workflow.pipeline import asked_of
 
@@ -53,6 +54,11 @@ def regulator(plant: PWASystem, h: float, *, r: float = 1.0) -> Array:
 def asking(spec: Spec, controller: ProvedController, gains: SampledGains) -> Asked:
     """Return what a spec asks, and the sampled loop with these gains."""
     return replace(asked_of(spec, None, controller), sampled=gains)
+
+
+def tubes_alone(claim: TubeBounds) -> dict[Channel, tuple[Tube, ...]]:
+    """Return the tubes of channels that have them alone."""
+    return {channel: tubes for of, tubes in claim.tubes for channel in of if len(of) == 1}
 
 
 def with_sampled(spec: Spec, controller: ProvedController, gains: SampledGains) -> ProvedController:

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from pwatrack import design, load_spec, simulate
 from pwatrack.claims.kept import KeptLimits
-from pwatrack.claims.registry import data, read
+from pwatrack.claims.registry import data, proved
 from pwatrack.commands.verify import verify
 from pwatrack.errors import InvalidSpec, OutsideTheory
 from pwatrack.lmi.audit.certificate import audit
@@ -163,7 +163,7 @@ def test_what_is_promised_is_audited_read_again_and_a_smaller_number_is_found_ou
     spec = load_spec(path)
     controller = design(spec)
     bare, asked = replace(controller, claims=()), asked_of(spec, None, controller)
-    again = read(data(controller), bare, asked).claim(KeptLimits)
+    again = proved(bare, asked, told=data(controller)).claim(KeptLimits)
     before = controller.claim(KeptLimits)
     assert again.left == pytest.approx(before.left)
     assert [p.held.sizes for p in again.promises if p.held] == [p.held.sizes for p in before.promises if p.held]

@@ -1,6 +1,6 @@
 """Every claim is stored, read again and said by itself; what adds to bounds adds to all of them, or there is none."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import CLAIMS, STATEMENT, data, rows
 from pwatrack.commands.verify import told_design
 from pwatrack.control.bounds import Form
-from pwatrack.control.controller import Asked, Claim, ProvedController
+from pwatrack.control.controller import Asked, Claim, ProvedController, Told
 from pwatrack.lmi.audit.certificate import DESIGN
 from pwatrack.lmi.audit.shape import REFUSAL
 from pwatrack.lmi.solve import answers
@@ -80,11 +80,7 @@ class Unknown(Claim):
     """Something that acts on all signals but the inputs, nobody knows how much."""
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator[Claim]:
-        yield cls()
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Claim]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator[Claim]:
         yield cls()
 
     def data(self, controller: ProvedController) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from pwatrack.model.conditions import Conditions, Sampling
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
-from tests.sampled import worst_found
+from tests.sampled import tubes_alone, worst_found
 from tests.test_cli import call
 
 H = 0.02
@@ -197,11 +197,11 @@ def test_no_plant_of_the_box_is_above_its_bound_in_any_substep(
 
 def test_no_switching_of_plants_and_nothing_that_acts_is_above_a_tube(moving: tuple[Spec, ProvedController]) -> None:
     claim = bounds_of(moving[1])
-    kinds = {channel[0] for channel in claim.tubes}
+    kinds = {channel[0] for channel in tubes_alone(claim)}
     assert {"nominal", "moved", "disturbance", "noise"} <= kinds
-    acting = {k for kind, k in claim.tubes if kind == "nominal"}
+    acting = {k for kind, k in tubes_alone(claim) if kind == "nominal"}
     assert acting == {*range(2 * len(claim.errors.paces))}, "all entries of e₀ act, not R e₀ alone"
-    for channel, (one, *_) in claim.tubes.items():
+    for channel, (one, *_) in tubes_alone(claim).items():
         for form, size in zip(claim.forms, one.sizes, strict=True):
             c = row(claim.errors, form).floats
             found = (worst_found(claim, channel, c, seed, summed=one.summed) for seed in range(3))

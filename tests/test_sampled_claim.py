@@ -175,13 +175,13 @@ def test_a_certificate_holds_the_proof_and_is_read_again(
     said, faults = audit(json.dumps(content))
     assert not faults
     assert [one for one in said if one.startswith("the sampled loop: every 0.05 s, rate ")]
-    (told,) = SampledLoop.read(content, found, asking(spec, found, the_claim(found).gains))
+    (told,) = SampledLoop.prove(found, asking(spec, found, the_claim(found).gains), content)
     assert told.data(found) == the_claim(found).data(found)
     assert list(told.rows(spec.words, found)) == list(the_claim(found).rows(spec.words, found))
     assert told.figures(spec.words, found)["sampled"]["rate"] == proof_of(found).rate
     other = replace(the_claim(found).gains, delay=1)
     with pytest.raises(ValueError, match="not those of its certificate"):
-        list(SampledLoop.read(content, found, asking(spec, found, other)))
+        list(SampledLoop.prove(found, asking(spec, found, other), content))
 
 
 def test_where_gains_of_the_mean_have_no_proof_those_for_all_cells_have_one(specs: Path) -> None:
@@ -197,7 +197,7 @@ def test_where_gains_of_the_mean_have_no_proof_those_for_all_cells_have_one(spec
     assert (claim.gains.M == every[-1 - proved[-1]].M).all()
     content = design_certificate(spec, controller)
     assert not audit(json.dumps(content))[1]
-    (told,) = SampledLoop.read(content, controller, own)
+    (told,) = SampledLoop.prove(controller, own, content)
     assert told.data(controller) == claim.data(controller)
     assert not any("other gains" in one for one in sampling_remarks(controller))
 
@@ -216,7 +216,7 @@ def test_without_a_proof_it_runs_with_gains_that_are_stable_in_each_cell_if_ther
     stable.append(refused(replace(controller, claims=(made,)), spec.scenario.conditions) is None)
     assert stable == [True, False]
     content = design_certificate(spec, controller)
-    (told,) = SampledLoop.read(content, controller, own)
+    (told,) = SampledLoop.prove(controller, own, content)
     assert (told.gains.K == claim.gains.K).all()
     assert (told.gains.M == claim.gains.M).all()
 
@@ -309,7 +309,8 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     again = AuditedErrors(told, Loop(AuditedPlant(content["plant"]), [], [], None))
     system = errors.clocked
     assert system.between is not None
-    flows, U, V = zip(*again.opened(errors.edges), strict=True)
+    flows, factors = zip(*((box.middle, box.factors) for box in again.opened(errors.edges)), strict=True)
+    U, V = zip(*factors, strict=True)
     assert (len(flows), len(V[0])) == (errors.flows, errors.edges)
     pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
     for own, audited in (*pairs, (system.U, map(Ball, U)), (system.V, map(Ball, V))):
@@ -325,7 +326,7 @@ def test_what_is_not_proved_is_said(section: tuple[Spec, ProvedController]) -> N
     assert the_claim(found).data(found) == {}
     rows = list(the_claim(found).rows(spec.words, found))
     assert rows[0] == ("sampled loop", "not proved: no forms were found that prove it")
-    (told,) = SampledLoop.read({"sampled": None}, controller, asking(spec, controller, slow))
+    (told,) = SampledLoop.prove(controller, asking(spec, controller, slow), {"sampled": None})
     assert list(told.rows(spec.words, found))[1:] == rows[1:]
     assert told.sentence == the_claim(found).sentence
     assert list(SampledLoop.prove(controller, replace(asking(spec, controller, slow), sampled=None))) == []

@@ -23,7 +23,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong, with_loads
 from pwatrack.simulation.propagate import simulate_flow
-from tests.sampled import worst_found
+from tests.sampled import tubes_alone, worst_found
 from tests.test_sampled_loads import BENT, LOADS, written
 
 H = 0.02
@@ -188,7 +188,7 @@ def test_the_walk_shows_what_acts(loop: tuple[str, Spec, ProvedController, Sampl
 
 def test_no_switching_is_above_the_tubes_of_what_acts(loop: tuple[str, Spec, ProvedController, SampledBounds]) -> None:
     _, _, controller, bounds = loop
-    for channel, (one, *_) in bounds.tubes.items():
+    for channel, (one, *_) in tubes_alone(bounds).items():
         if channel[0] in ("drawn", "cell", "eta"):
             c, size = row(bounds.errors, (controller.tracking, 0)).floats, one.sizes[0]
             found = max(worst_found(bounds, channel, c, seed) for seed in range(10))
@@ -197,7 +197,7 @@ def test_no_switching_is_above_the_tubes_of_what_acts(loop: tuple[str, Spec, Pro
 
 def test_runs_stay_within_their_bounds(loop: tuple[str, Spec, ProvedController, SampledBounds], tmp_path: Path) -> None:
     name, _, controller, bounds = loop
-    kinds = {kind for kind, _ in bounds.tubes}
+    kinds = {kind for kind, _ in tubes_alone(bounds)}
     assert ({"drawn", "cell", "eta"} <= kinds) == (name != "bent")
     ends = bounds.ends_below(controller)["output", 0]
     whole = float(bounds.anywhere["output", 0].max())

@@ -42,7 +42,7 @@ from pwatrack.rational import rational
 from pwatrack.report.certificate import design_certificate
 from pwatrack.simulation.late_start import late_start
 from tests.plain import Plain
-from tests.sampled import asking, form_at, integrated, predicted, with_sampled, worst_found
+from tests.sampled import asking, form_at, integrated, predicted, tubes_alone, with_sampled, worst_found
 from tests.test_preview import blown
 
 LEANING = """
@@ -404,7 +404,8 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     again, errors = AuditedErrors(told, Loop(plant, [], [], X, generator)), errors_of(controller, gains)
     system = errors.clocked
     assert system.between is not None
-    flows, U, V = zip(*again.opened(errors.edges), strict=True)
+    flows, factors = zip(*((box.middle, box.factors) for box in again.opened(errors.edges)), strict=True)
+    U, V = zip(*factors, strict=True)
     pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
     for own, audited in (*pairs, (system.U, [Ball(X) for X in U if X]), (system.V, [Ball(X) for X in V if X])):
         assert len(own) == len(audited)
@@ -487,8 +488,8 @@ def of_size_one(controller: ProvedController, _: object) -> Acting:
 def test_no_switching_is_above_a_tube(bounded: tuple[Spec, ProvedController, SampledBounds]) -> None:
     """Of what acts at its worst, with what is held and what drives it at ticks switched together."""
     _, controller, bounds = bounded
-    assert bounds.tubes.keys() == bounds.acts.squares.keys()
-    for channel, (one, *_) in bounds.tubes.items():
+    assert tubes_alone(bounds).keys() == bounds.acts.squares.keys()
+    for channel, (one, *_) in tubes_alone(bounds).items():
         c, size = row(bounds.errors, (controller.tracking, 0)).floats, one.sizes[0]
         found = max(worst_found(bounds, channel, c, seed, summed=one.summed) for seed in range(8))
         assert 0.05 * size < found <= size
@@ -536,7 +537,7 @@ def test_a_run_with_constants_between_inputs_stays_within_its_bound(tmp_path: Pa
     errors, bounds = controller.claim(SampledBounds).errors, controller.claim(SampledBounds)
     assert errors.estimates is not None
     assert len(errors.widths) == 6
-    assert ("noise", 0) in bounds.tubes
+    assert ("noise", 0) in tubes_alone(bounds)
     run = simulate(spec, controller)
     assert run.outcome.kind != "above its bound"
     assert bounds.ends_below(controller)["state", 0] > 0

@@ -83,7 +83,7 @@ def test_what_is_rounding_of_plants_that_do_not_touch_is_no_gain_and_no_other_ga
     assert (claim.gains.M[:2, 1] == 0).all()
     off = replace(claim, gains=replace(claim.gains, K=claim.gains.K + 1e-15))
     content = design_certificate(spec, replace(controller, claims=(off,)))
-    (told,) = SampledLoop.read(content, controller, own)
+    (told,) = SampledLoop.prove(controller, own, content)
     assert (told.gains.K == off.gains.K).all()
 
 

@@ -16,7 +16,7 @@ from pwatrack import Spec, design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.claims.exact_text import decimal
 from pwatrack.claims.region import LimitedRegion
-from pwatrack.claims.registry import proved, read
+from pwatrack.claims.registry import proved
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_region import SampledRegion
@@ -276,7 +276,7 @@ def test_a_gain_against_windup_is_made_where_K_is_to_stay(
     assert any("against windup" in text for _, text in loop.rows(spec.words, controller))
     content = design_certificate(spec, controller)
     assert not audit(json.dumps(content))[1]
-    told = read(content, replace(controller, claims=()), own).claim(SampledLoop)
+    told = proved(replace(controller, claims=()), own, told=content).claim(SampledLoop)
     assert [*told.rows(spec.words, controller)] == [*loop.rows(spec.words, controller)]
     E = content["sampled"]["E"]
     for forged in ([], times(E, 3), [*E[:2], ["0"]], E[:2]):
@@ -559,7 +559,8 @@ def test_a_smaller_K_is_made_for_the_start_of_a_run_where_that_of_least_cost_doe
     assert simulate(spec, controller).outcome.kind == "tracks"
     call("design", str(path), "--out", str(tmp_path / "out"))
     verify(tmp_path / "out" / "certificate.json", path)
-    told = read(json.loads((tmp_path / "out" / "certificate.json").read_text()), replace(controller, claims=()), own)
+    content = json.loads((tmp_path / "out" / "certificate.json").read_text())
+    told = proved(replace(controller, claims=()), own, told=content)
     assert [*told.claim(SampledLoop).rows(spec.words, told)] == [*loop.rows(spec.words, controller)]
 
 
@@ -572,8 +573,9 @@ def test_a_K_that_is_given_or_sought_otherwise_stays(more: str, tmp_path: Path) 
     assert loop.cheaper is None
     other = replace(loop.gains, K=loop.gains.K * 0.9)
     content = design_certificate(spec, replace(controller, claims=(replace(loop, gains=other),)))
+    bare = replace(controller, claims=())
     with pytest.raises(ValueError, match="not those of its certificate"):
-        read(content, replace(controller, claims=()), asked(spec, replace(controller, claims=())))
+        proved(bare, asked(spec, bare), told=content)
 
 
 @pytest.mark.parametrize("h", [0.05, 0.5, 1.0])

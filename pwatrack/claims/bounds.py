@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array
+from pwatrack.ball_matrix import zero
 from pwatrack.claims.exact_text import bounds_content, read_bounds
 from pwatrack.control.bounds import Bounds, Channel, Form, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.words import Words
 from pwatrack.lmi.exact import Packed
 from pwatrack.lmi.inequality import Solver
@@ -26,8 +27,6 @@ from pwatrack.rational import doubles
 
 BOUNDS = "bounds.json"
 _CAUSES, _SIGNALS = 6, 6  # that are printed of all that act and of all that each does
-
-_Pair = tuple[tuple[Bounds, ...], tuple[Bounds, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +38,7 @@ class SignalBounds(Claim):
 
     loops: Loops  # what they are about
     solver: Solver = "structured"  # who is asked for them
-    known: _Pair | None = field(default=None, repr=False)  # what was proved of them before
+    known: Mapping[Channel, Bounds] | None = field(default=None, repr=False)  # what a certificate has of them
 
     statement: ClassVar[str] = (
         "Under bounds: from x = x_hat = x_d on, what d = 1 at most, on one state equation or one measured output, can "
@@ -48,26 +47,26 @@ class SignalBounds(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"bounds": []}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SignalBounds"]:
         """Yield the bounds, which are searched for when they are looked at first: they take longer than the design."""
-        yield cls(loops=loops_of(controller, _limited(asked)), solver=asked.solver)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SignalBounds"]:
-        loops = loops_of(controller, _limited(asked))
-        found = {bounds.channel: bounds for bounds in map(read_bounds, content["bounds"])}
-        acting = tuple(_with_peaks(loops, channel, found) for channel in loops.acting)
-        starts = tuple(_with_peaks(loops, ("start", group[0]), found) for group in loops.starts)
-        yield cls(loops=loops, known=(acting, starts))
+        loops = loops_of(controller, () if asked.signals is None else asked.signals.forms)
+        known = None if told is None else {bounds.channel: bounds for bounds in map(read_bounds, told["bounds"])}
+        yield cls(loops=loops, solver=asked.solver, known=known)
 
     @cached_property
-    def both(self) -> _Pair:
+    def both(self) -> tuple[tuple[Bounds, ...], tuple[Bounds, ...]]:
         """What each disturbance and noise, and what each entry of a start can do."""
-        if self.known is not None:
-            return self.known
         with asking(self.solver):
-            acting = tuple(map(self.loops.bounds, self.loops.acting))
-            return acting, tuple(self.loops.bounds(("start", group[0])) for group in self.loops.starts)
+            acting = tuple(map(self._bounds, self.loops.acting))
+            return acting, tuple(self._bounds(("start", group[0])) for group in self.loops.starts)
+
+    def _bounds(self, channel: Channel) -> Bounds:
+        if self.known is None:
+            return self.loops.bounds(channel)
+        one = self.known.get(channel, Bounds(channel=channel, sizes={}, parts=()))
+        peaks = {form: gain for form, gain in self.loops.peaks(channel).items() if form in one.sizes}
+        sizes = {form: min(size, peaks.get(form, (0.0, np.inf))[1]) for form, size in one.sizes.items()}
+        return replace(one, sizes=sizes, peaks=peaks)
 
     @property
     def acting(self) -> tuple[Bounds, ...]:
@@ -190,14 +189,13 @@ def in_ellipsoid(Q: Packed, z: Array) -> float:
     return root_above((column.transpose() * Q.P.solve(column))[0, 0])
 
 
-def _limited(asked: Asked) -> Sequence[Form]:
-    return () if asked.signals is None else asked.signals.forms
+def loops_of(controller: ProvedController, limited: Sequence[Form] = (), *, unmoved: bool = False) -> Loops:
+    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded.
 
-
-def loops_of(controller: ProvedController, limited: Sequence[Form] = ()) -> Loops:
-    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded."""
-    K, L = controller.design.exact
-    X, output = controller.compensation.X, controller.tracking == "output"
+    With `unmoved` they are for rows of (e, Δ) where estimates of loads do not move x_d.
+    """
+    (K, L), X = controller.design.exact, controller.compensation.X
+    X, output = zero(*X.shape) if unmoved else X, controller.tracking == "output"
     return Loops(controller.plant, K, L, controller.proofs, X, output=output, limited=limited)
 
 
@@ -212,13 +210,6 @@ def bound_entry(words: Words, bounds: Bounds, *, uncertain: bool = False) -> dic
         if form in bounds.peaks:
             signals[name] |= {"certified": bounds.certified[form], "peak_gain": list(bounds.peaks[form])}
     return {"kind": kind, "of": of, "per": f"1 {unit}".rstrip(), "signals": signals}
-
-
-def _with_peaks(loops: Loops, channel: Channel, found: Mapping[Channel, Bounds]) -> Bounds:
-    one = found.get(channel, Bounds(channel=channel, sizes={}, parts=()))
-    peaks = {form: gain for form, gain in loops.peaks(channel).items() if form in one.sizes}
-    sizes = {form: min(size, peaks.get(form, (0.0, np.inf))[1]) for form, size in one.sizes.items()}
-    return replace(one, sizes=sizes, peaks=peaks)
 
 
 def _with_norms(most: dict[Form, Array], controller: ProvedController, seen: Seen) -> None:

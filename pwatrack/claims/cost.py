@@ -10,7 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array, readonly, up
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.claims.exact_text import decimal_texts, doubles
-from pwatrack.control.controller import Asked, Claim, ProvedController
+from pwatrack.control.controller import Asked, Claim, ProvedController, Told
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
 from pwatrack.control.words import Words
@@ -37,20 +37,18 @@ class Costs(Claim):
     statement: ClassVar[str] = "X bounds a cost: X > 0 and X M_i + M_i^T X + Q + K^T R K < 0."
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
-        goals, X = _least(asked), dict[Role, Array]()
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Costs"]:
+        goals = {role: goal for role, goal in asked.words.goals.items() if isinstance(goal, LeastCost)}
+        known, X = None if told is None else read_costs(told), dict[Role, Array]()
         for role, goal in goals.items():
-            task = Task.of(asked.words.plant, role, sizes=controller.sizes)
-            gain = controller.K if role is CONTROLLER else controller.L
-            X[role] = cost_bound(task, role.oriented(gain), goal.Q, goal.R)
-        if goals:
+            if known is None:
+                task = Task.of(asked.words.plant, role, sizes=controller.sizes)
+                gain = controller.K if role is CONTROLLER else controller.L
+                X[role] = cost_bound(task, role.oriented(gain), goal.Q, goal.R)
+            elif role.name in known:
+                X[role] = known[role.name]
+        if X:
             yield cls(goals=goals, X=X)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Costs"]:
-        goals, proofs = _least(asked), read_costs(content)
-        if proofs:
-            yield cls(goals=goals, X={role: proofs[role.name] for role in goals if role.name in proofs})
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         matrices = {role: {"X": X, "Q": self.goals[role].Q, "R": self.goals[role].R} for role, X in self.X.items()}
@@ -80,10 +78,6 @@ class Costs(Claim):
 def read_costs(content: Mapping[str, Any]) -> dict[str, Array]:
     """Return the bounds of costs that a certificate holds, by what they are of."""
     return {proof["of"]: doubles(proof["X"]) for proof in content["proofs"] if kind(proof) == "cost"}
-
-
-def _least(asked: Asked) -> dict[Role, LeastCost]:
-    return {role: goal for role, goal in asked.words.goals.items() if isinstance(goal, LeastCost)}
 
 
 def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:

@@ -12,7 +12,7 @@ from pwatrack.claims.exact_text import proof_content, read_proof
 from pwatrack.claims.limits import NoSaturation, ideal
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.stable_inversion import StableInversion
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.control.guarantees import Contraction
@@ -47,12 +47,7 @@ class Decay(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"proofs": []}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
-        yield cls()
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Decay"]:
-        """Yield the claim; `read_proofs` gives the proofs."""
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Decay"]:
         yield cls()
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
@@ -220,7 +215,6 @@ def _within_limits(goal: Goal, controller: ProvedController) -> bool:
 
 
 def _origin(goal: Goal) -> str:
-    """Say where a gain is from."""
     match goal:
         case Given():
             return "given"

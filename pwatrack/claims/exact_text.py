@@ -1,8 +1,8 @@
 """What a certificate holds in exact numbers, written and read again: matrices, signals, a plant, its form (11)."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,19 +12,22 @@ from pwatrack.control.bounds import Bounds, Channel, Form, SignalEllipsoid
 from pwatrack.lmi.audit.reading import number
 from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.clocked import ClockedProof
+from pwatrack.lmi.clocked_region import ClockedRegion
+from pwatrack.lmi.clocked_tubes import Tube
 from pwatrack.lmi.dichotomy import Dichotomy
-from pwatrack.lmi.ellipsoid import InvariantEllipsoid
+from pwatrack.lmi.ellipsoid import InvariantEllipsoid, StartEllipsoid
 from pwatrack.lmi.exact import Packed, Proof
 from pwatrack.lmi.inequality import CONTROLLER, GENERATOR, OBSERVER, PLANT
 from pwatrack.lmi.peak_gain import PeakGain
 from pwatrack.lmi.polynomial import AnyProof, PolynomialProof
-from pwatrack.model.loads import Loads
-from pwatrack.model.nonlinearity import Nonlinearity, Number, PiecewiseLinear
+from pwatrack.lmi.polynomial_region import PolynomialRegion
+from pwatrack.lmi.saturated import Region
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Real
 
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
+Held = StartEllipsoid | Region | ClockedRegion | PolynomialRegion  # what errors from some starts do not leave
 CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
 
@@ -45,7 +48,7 @@ def decimal_texts(X: Array | None) -> list[list[str]] | None:
 
 def doubles(rows: Any) -> Array:
     """Return the matrix that decimals were printed from."""
-    return np.array([[double(v) for v in row] for row in rows])
+    return np.array([[double(v) for v in row] for row in rows]).reshape(len(rows), len(rows[0]) if rows else 0)
 
 
 def radii(matrices: Sequence[BallMatrix]) -> list[Any] | None:
@@ -64,29 +67,81 @@ def whole(found: Any) -> dict[str, Any]:
     return {"integers": integers, "exponents": tuple(found["exponents"])}
 
 
-def packed_forms(found: Any) -> tuple[Packed, ...]:
-    """Return the matrices that `packed` gave."""
-    return tuple(Packed(**whole(one)) for one in found)
+class Text(NamedTuple):
+    """How a value is written, and read again if it is."""
+
+    write: Callable[[Any], Any]
+    read: Callable[[Any], Any] = str
+
+    def each(self) -> "Text":
+        """Return how several values are."""
+        return Text(lambda values: [self.write(v) for v in values], lambda told: tuple(map(self.read, told)))
 
 
-def clocked_content(proof: ClockedProof) -> dict[str, Any]:
-    """Return the forms that prove a loop that is sampled."""
-    return {"rate": decimal(proof.rate), "P": [packed(P) for P in proof.P], "T": diagonals(proof.T)}
+class Record:
+    """How objects of a class are written and read again: attributes by their names, in this order."""
+
+    def __init__(self, make: Callable[..., Any] = dict, **texts: Text) -> None:
+        self.make, self.texts = make, texts
+
+    def write(self, one: Any) -> dict[str, Any]:
+        """Return what is told of an object."""
+        return {key: of.write(one if of is OWN else getattr(one, key)) for key, of in self.texts.items()}
+
+    def read(self, told: Any, **known: Any) -> Any:
+        """Return the object, with attributes that are told elsewhere."""
+        for key, of in self.texts.items():
+            found = of.read(told[key])
+            known |= found if of is OWN else {key: found}
+        return self.make(**known)
 
 
-def diagonals(T: Sequence[Sequence[float]]) -> list[list[str]]:
-    """Return diagonals at knots as decimals."""
-    return [[decimal(v) for v in row] for row in T]
+DECIMAL, MATRIX, NUMBER = Text(decimal, double), Text(decimal_texts, doubles), Text(int, int)
+OWN = Text(packed, whole)  # the matrix that an object is itself, under a key of its own
+FORMS, ROWS = Text(packed, lambda told: Packed(**whole(told))).each(), DECIMAL.each().each()
+
+CLOCKED = Record(ClockedProof, rate=DECIMAL, P=FORMS, T=ROWS)
+TUBE = Record(Tube, a=DECIMAL, b=DECIMAL, summed=Text(int, bool), Q=FORMS, T=ROWS)
+_ELLIPSOID = Record(InvariantEllipsoid, a=DECIMAL, Q=OWN)
+_PEAK = Record(PeakGain, unit=NUMBER, steps=Text(list, tuple).each(), P=OWN, size=DECIMAL)
+_PROOFS = {
+    Proof: Record(Proof, rate=DECIMAL, margin=DECIMAL, radius=DECIMAL, P=OWN),
+    PolynomialProof: Record(PolynomialProof, degree=NUMBER, rate=DECIMAL, T=MATRIX, P=OWN),
+    Dichotomy: Record(Dichotomy, margin=DECIMAL, P=OWN),
+}
+_HELD = {
+    StartEllipsoid: Record(StartEllipsoid, Q=OWN),
+    Region: Record(Region, Q=OWN, H=MATRIX),
+    ClockedRegion: Record(ClockedRegion, P=FORMS, T=ROWS, H=MATRIX),
+}
+
+_CENTRE = Text(lambda value: text(Real.of(value).centre))
+_EXACT, _RADIUS, _LIST = Text(lambda X: X.texts), Text(lambda X: X.radius_texts), Text(list)
+FUNCTION = Record(breakpoints=_CENTRE.each(), slopes=_CENTRE.each(), value=_CENTRE)
+TERM = Record(row=_CENTRE.each(), constant=_CENTRE, direction=_CENTRE.each(), function=Text(FUNCTION.write))
+_NAMES, _PORTS = Record(states=_LIST, inputs=_LIST, outputs=_LIST), Record(B=_EXACT, C=_EXACT)
+_LOADS, _LOAD_RADII = Record(names=_LIST, where=_LIST, E=_EXACT, S=_EXACT), Record(E=_RADIUS, S=_RADIUS)
+_FIELD, _FIELD_RADII = Record(A=_EXACT.each(), b=_EXACT.each()), Record(A=Text(radii), b=Text(radii))
 
 
-def read_diagonals(told: Any) -> tuple[tuple[float, ...], ...]:
-    """Return what was written by `diagonals`."""
-    return tuple(tuple(double(v) for v in row) for row in told)
+def held_content(held: Held) -> dict[str, Any]:
+    """Return what holds some starts."""
+    if isinstance(held, PolynomialRegion):
+        return {"V": proof_content(held.proof), "H": decimal_texts(held.H)}
+    return _HELD[type(held)].write(held)
 
 
-def read_clocked(told: Any) -> ClockedProof:
-    """Return what was written by `clocked_content`."""
-    return ClockedProof(P=packed_forms(told["P"]), T=read_diagonals(told["T"]), rate=double(told["rate"]))
+def read_held(entry: Any) -> Held:
+    """Return what was written by `held_content`, with weights of the starts, and sizes."""
+    sizes = tuple(size for _, size in read_signals(entry["signals"]))
+    weights = DECIMAL.each().read(entry["weights"])
+    if "V" in entry:
+        proof = read_proof(entry["V"])
+        assert isinstance(proof, PolynomialProof)
+        return PolynomialRegion(proof=proof, H=doubles(entry["H"]), weights=weights, sizes=sizes)
+    of = ClockedRegion if "P" in entry else Region if "H" in entry else StartEllipsoid
+    held: Held = _HELD[of].read(entry, weights=weights, sizes=sizes)
+    return held
 
 
 def signals(sizes: Iterable[tuple[Form, float]]) -> list[list[Any]]:
@@ -103,53 +158,30 @@ def read_signals(found: Any) -> Iterator[tuple[Form, float]]:
 def bounds_content(bounds: Bounds) -> dict[str, Any]:
     """Return what one channel can do, with the ellipsoids and peak gains that prove it."""
     parts = [
-        {
-            "loop": part.loop,
-            "channel": list(part.channel),
-            "a": decimal(part.ellipsoid.a),
-            "Q": packed(part.ellipsoid),
-            "signals": signals(zip(part.signals, part.ellipsoid.sizes, strict=True)),
-        }
+        {"loop": part.loop, "channel": list(part.channel)}
+        | _ELLIPSOID.write(part.ellipsoid)
+        | {"signals": signals(zip(part.signals, part.ellipsoid.sizes, strict=True))}
         for part in bounds.parts
     ]
-    peaks = [
-        {
-            "part": part,
-            "unit": gain.unit,
-            "steps": [list(run) for run in gain.steps],
-            "P": packed(gain),
-            "size": decimal(gain.size),
-        }
-        for part, gain in bounds.proved.items()
-    ]
+    peaks = [{"part": part} | _PEAK.write(gain) for part, gain in bounds.proved.items()]
     found = {"channel": list(bounds.channel), "signals": signals(bounds.certified.items()), "parts": parts}
     return found | ({"peaks": peaks} if peaks else {})
 
 
 def read_bounds(entry: Any) -> Bounds:
     """Return what was written by `bounds_content`."""
-    parts = tuple(
-        SignalEllipsoid(
-            loop=part["loop"],
-            channel=read_channel(part["channel"]),
-            signals=tuple(form for form, _ in read_signals(part["signals"])),
-            ellipsoid=InvariantEllipsoid(
-                **whole(part["Q"]), a=double(part["a"]), sizes=tuple(size for _, size in read_signals(part["signals"]))
-            ),
-        )
-        for part in entry["parts"]
+    parts = list[SignalEllipsoid]()
+    for part in entry["parts"]:
+        each = list(read_signals(part["signals"]))
+        channel, forms = read_channel(part["channel"]), tuple(form for form, _ in each)
+        ellipsoid = _ELLIPSOID.read(part, sizes=tuple(size for _, size in each))
+        parts.append(SignalEllipsoid(loop=part["loop"], channel=channel, signals=forms, ellipsoid=ellipsoid))
+    return Bounds(
+        channel=read_channel(entry["channel"]),
+        sizes=dict(read_signals(entry["signals"])),
+        parts=tuple(parts),
+        proved={peak["part"]: _PEAK.read(peak) for peak in entry.get("peaks", [])},
     )
-    proved = {
-        peak["part"]: PeakGain(
-            unit=peak["unit"],
-            steps=tuple((k, count) for k, count in peak["steps"]),
-            size=double(peak["size"]),
-            **whole(peak["P"]),
-        )
-        for peak in entry.get("peaks", [])
-    }
-    sizes = dict(read_signals(entry["signals"]))
-    return Bounds(channel=read_channel(entry["channel"]), sizes=sizes, parts=parts, proved=proved)
 
 
 def read_channel(channel: Any) -> Channel:
@@ -159,35 +191,22 @@ def read_channel(channel: Any) -> Channel:
 
 def proof_content(proof: AnyProof | Dichotomy) -> dict[str, Any]:
     """Return the proof of an inequality."""
-    P = packed(proof)
+    found: dict[str, Any] = {"of": proof.role.name} | ({"bounded": "both ways"} if isinstance(proof, Dichotomy) else {})
+    found |= _PROOFS[type(proof)].write(proof)
     if isinstance(proof, PolynomialProof):
-        N = [packed(Packed(integers=N_i, exponents=proof.N_exponents)) for N_i in proof.N]
-        told = {"degree": proof.degree, "rate": decimal(proof.rate)}
-        return {"of": proof.role.name, **told, "T": decimal_texts(proof.T), "P": P, "N": N}
-    if isinstance(proof, Dichotomy):
-        return {"of": proof.role.name, "bounded": "both ways", "margin": decimal(proof.margin), "P": P}
-    told = {"rate": decimal(proof.rate), "margin": decimal(proof.margin), "radius": decimal(proof.radius)}
-    return {"of": proof.role.name, **told, "P": P}
+        found["N"] = [packed(Packed(integers=N_i, exponents=proof.N_exponents)) for N_i in proof.N]
+    return found
 
 
 def read_proof(proof: Any) -> AnyProof | Dichotomy:
     """Return what was written by `proof_content`."""
-    role, P = _ROLES[proof["of"]], whole(proof["P"])
-    if kind(proof) == "polynomial":
+    known: dict[str, Any] = {"role": _ROLES[proof["of"]]}
+    if "N" in proof:
         each = [whole(N) for N in proof["N"]]
-        return PolynomialProof(
-            role=role,
-            degree=int(proof["degree"]),
-            rate=double(proof["rate"]),
-            T=doubles(proof["T"]),
-            N=tuple(N["integers"] for N in each),
-            N_exponents=each[0]["exponents"],
-            **P,
-        )
-    if kind(proof) == "P of any sign":
-        return Dichotomy(role=role, margin=double(proof["margin"]), **P)
-    rate, margin, radius = (double(proof[name]) for name in ("rate", "margin", "radius"))
-    return Proof(role=role, rate=rate, margin=margin, radius=radius, **P)
+        known |= {"N": tuple(N["integers"] for N in each), "N_exponents": each[0]["exponents"]}
+    of = {"polynomial": PolynomialProof, "P of any sign": Dichotomy}.get(kind(proof), Proof)
+    found: AnyProof | Dichotomy = _PROOFS[of].read(proof, **known)
+    return found
 
 
 def plant_content(plant: PWASystem) -> dict[str, Any]:
@@ -198,10 +217,15 @@ def plant_content(plant: PWASystem) -> dict[str, Any]:
         "H": [[text(v) for v in row] for row in partition.exact_H],
         "h": [text(v) for v in partition.exact_h],
         "signs": partition.signs.tolist(),
-        "A": [X.texts for X in exact.A],
-        "b": [X.texts for X in exact.b],
-        "radius": {"A": radii(exact.A), "b": radii(exact.b), **_port_radii(exact)},
+        **_FIELD.write(exact),
+        "radius": _FIELD_RADII.write(exact) | _port_radii(exact),
     }
+
+
+def corner_content(corner: Matrices) -> dict[str, Any]:
+    """Return what is another in a plant at the corner of a box."""
+    radius = _FIELD_RADII.write(corner) | {"B": corner.B.radius_texts}
+    return _FIELD.write(corner) | {"B": corner.B.texts, "radius": radius}
 
 
 def elements_content(plant: PWASystem) -> dict[str, Any]:
@@ -211,29 +235,10 @@ def elements_content(plant: PWASystem) -> dict[str, Any]:
         "A": plant.written.A.texts,
         "b": plant.written.b.texts,
         "elements": [
-            term_content(one) | {"segments": [f"{one.name} {segment}" for segment in one.function.segments]}
+            TERM.write(one) | {"segments": [f"{one.name} {segment}" for segment in one.function.segments]}
             for one in plant.written.elements
         ],
         "radius": {"A": None, "b": None, **_port_radii(plant.exact)},
-    }
-
-
-def term_content(element: Nonlinearity) -> dict[str, Any]:
-    """Return direction function(row x + constant)."""
-    return {
-        "row": [_centre(v) for v in element.row],
-        "constant": _centre(element.constant),
-        "direction": [_centre(v) for v in element.direction],
-        "function": function_content(element.function),
-    }
-
-
-def function_content(function: PiecewiseLinear) -> dict[str, Any]:
-    """Return a piecewise linear function."""
-    return {
-        "breakpoints": [_centre(v) for v in function.breakpoints],
-        "slopes": [_centre(v) for v in function.slopes],
-        "value": _centre(function.value),
     }
 
 
@@ -254,31 +259,15 @@ def form_content(form: NormalForm, *, listed: bool) -> dict[str, Any]:
 
 def _ports(plant: PWASystem) -> dict[str, Any]:
     """Return what all ways of writing a plant have in common."""
+    loads = plant.loads
     return {
-        "states": list(plant.states),
-        "inputs": list(plant.inputs),
-        "outputs": list(plant.outputs),
+        **_NAMES.write(plant),
         "tracked": list(plant.tracked_names),
-        "B": plant.exact.B.texts,
-        "C": plant.exact.C.texts,
+        **_PORTS.write(plant.exact),
         "tracked_rows": plant.exact.tracked.texts,
-        "loads": None if plant.loads is None else _loads(plant.loads),
+        "loads": None if loads is None else _LOADS.write(loads) | {"radius": _LOAD_RADII.write(loads)},
     }
 
 
 def _port_radii(exact: Matrices) -> dict[str, Any]:
     return {"B": exact.B.radius_texts, "C": exact.C.radius_texts, "tracked_rows": exact.tracked.radius_texts}
-
-
-def _loads(loads: Loads) -> dict[str, Any]:
-    return {
-        "names": list(loads.names),
-        "where": list(loads.where),
-        "E": loads.E.texts,
-        "S": loads.S.texts,
-        "radius": {"E": loads.E.radius_texts, "S": loads.S.radius_texts},
-    }
-
-
-def _centre(value: Number) -> str:
-    return text(Real.of(value).centre)

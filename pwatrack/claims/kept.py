@@ -5,16 +5,16 @@ c x = c x_d + c e. The reference takes its part of the limits, enclosed; what di
 solution the error is linear in all of these together, so what is left after the first two is for the third.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from pwatrack.arrays import Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
-from pwatrack.claims.limits import WITHOUT, StartGuarantee, known_before, promises
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.claims.limits import WITHOUT, StartGuarantee, promises
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import SignalRoom
 from pwatrack.control.words import Words, down
 
@@ -40,15 +40,24 @@ class KeptLimits(Claim):
     statement: ClassVar[str] = "Under limits too: of signals of x, how far from x_d they may be at any time, likewise."
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["KeptLimits"]:
         """Yield what is proved of the limits of outputs and states, where there are some."""
-        if (signals := asked.signals) is not None:
-            yield _found(controller, signals, None)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["KeptLimits"]:
-        if (signals := asked.signals) is not None:
-            yield _found(controller, signals, content)
+        if (signals := asked.signals) is None:
+            return
+        room, missing = signals.room, ""
+        if controller.running is not controller.plant:
+            missing = "cells are merged"
+        elif controller.trajectory.preview is not None:
+            missing = "x_d is played back"
+        elif room.left is None:
+            missing = "the reference leaves nothing of a limit, or is not known"
+        claim = cls(signals=signals, taken=None if missing else _taken(controller, signals), missing=missing)
+        if missing:
+            yield claim
+        elif claim.left is None:
+            yield replace(claim, missing="what disturbs may take all that is left")
+        else:
+            yield replace(claim, promises=promises(controller, claim.left, room.starts, told, forms=signals.forms))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
@@ -77,8 +86,8 @@ class KeptLimits(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         idle = WITHOUT * (controller.plant.loads is not None)
-        texts = [*self._takes(words, idle), *self._kept(words, controller)]
-        yield from ((label, text) for label, text in zip(["kept", *[""] * len(texts)], texts, strict=False))
+        for k, text in enumerate([*self._takes(words, idle), *self._kept(words, controller)]):
+            yield "" if k else "kept", text
 
     def _takes(self, words: Words, idle: str) -> Iterator[str]:
         """Yield what is taken of each limit, without loads that are estimated."""
@@ -114,7 +123,6 @@ class KeptLimits(Claim):
 
     @property
     def _acting(self) -> str:
-        """With what they are kept, in words."""
         kinds = {kind for kind, _ in self.signals.acting}
         noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
         return f", with what acts in this file{noise}" if kinds else " while nothing disturbs"
@@ -128,29 +136,9 @@ class KeptLimits(Claim):
 
 
 def _between(low: float, high: float) -> str:
-    """Say two limits, or the one that there is."""
     if np.isfinite([low, high]).all():
         return f"from {number_text(low, 'g')} to {number_text(high, 'g')}"
     return f"at least {number_text(low, 'g')}" if np.isfinite(low) else f"at most {number_text(high, 'g')}"
-
-
-def _found(controller: ProvedController, signals: SignalRoom, content: Mapping[str, Any] | None) -> KeptLimits:
-    """Return what is known, searched for where there is no certificate."""
-    room, missing = signals.room, ""
-    if controller.running is not controller.plant:
-        missing = "cells are merged"
-    elif controller.trajectory.preview is not None:
-        missing = "x_d is played back"
-    elif room.left is None:
-        missing = "the reference leaves nothing of a limit, or is not known"
-    if missing:
-        return KeptLimits(signals=signals, missing=missing)
-    claim = KeptLimits(signals=signals, taken=_taken(controller, signals))
-    if claim.left is None:
-        return KeptLimits(signals=signals, taken=claim.taken, missing="what disturbs may take all that is left")
-    starts, known = (room.starts, None) if content is None else known_before(content, room.starts, "state")
-    found = promises(controller, claim.left, starts, known, forms=signals.forms)
-    return KeptLimits(signals=signals, taken=claim.taken, promises=found)
 
 
 def _taken(controller: ProvedController, signals: SignalRoom) -> Array | None:

@@ -11,26 +11,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.ball_matrix import BallMatrix, above, zero
-from pwatrack.claims.exact_text import (
-    CLOSE,
-    decimal,
-    decimal_texts,
-    double,
-    doubles,
-    packed,
-    read_signals,
-    signals,
-    whole,
-)
+from pwatrack.ball_matrix import BallMatrix, above
+from pwatrack.claims.bounds import loops_of
+from pwatrack.claims.exact_text import CLOSE, Held, decimal, decimal_texts, doubles, held_content, read_held, signals
 from pwatrack.control.bounds import Form, Loop, Loops
-from pwatrack.control.compensation import Compensation
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
-from pwatrack.lmi.clocked_region import ClockedRegion
-from pwatrack.lmi.ellipsoid import StartEllipsoid, held
-from pwatrack.lmi.polynomial_region import PolynomialRegion
+from pwatrack.lmi.ellipsoid import held
 
 WITHOUT = " while no load acts"  # where loads are estimated
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
@@ -47,16 +35,18 @@ class StartGuarantee:
         held: The ellipsoid, or what stands for it; None where none of them is moved.
         loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
         forms: What it is about where it is not about inputs.
-        before: Starts as its loop has them, where that is of more than (e, Δ, σ); else None.
     """
 
     starts: Starts
     loop: Loop
     inputs: tuple[int, ...]
-    held: StartEllipsoid | ClockedRegion | PolynomialRegion | None
+    held: Held | None
     loads: tuple[float, ...]
     forms: tuple[Form, ...] = ()
-    before: Array | None = None
+
+    @property
+    def _sizes(self) -> tuple[float, ...]:
+        return self.held.sizes if self.held else (0.0,) * len(self.inputs)
 
     def scale(self, left: Array) -> float:
         """Return how many times as large a start may be, so that each |u − u_ff| ≤ left, (m,); rounded down."""
@@ -69,8 +59,7 @@ class StartGuarantee:
 
     def _ratios(self, left: Array) -> dict[int, float]:
         """Return what is left of each of them that is moved, over what the starts make of it."""
-        sizes = self.held.sizes if self.held else (0.0,) * len(self.inputs)
-        moved = (size + load for size, load in zip(sizes, self.loads, strict=True))
+        moved = (size + load for size, load in zip(self._sizes, self.loads, strict=True))
         return {k: float(left[k]) / size for k, size in zip(self.inputs, moved, strict=True) if size}
 
     def outline(self, left: Array, plane: Sequence[int], directions: Array) -> Array | None:
@@ -81,7 +70,7 @@ class StartGuarantee:
         scale = self.scale(left)
         if self.held is None or not 0 < scale < np.inf:
             return None
-        rays = np.zeros((len(directions), len(self.starts.G if self.before is None else self.before)))
+        rays = np.zeros((len(directions), len(_rows(self.starts))))
         rays[:, plane] = directions
         return np.asarray(scale * self.held.reach(rays)[:, None] * directions)
 
@@ -105,36 +94,29 @@ class StartGuarantee:
         return left is not None and self.starts.kind == "run" and self.scale(left) >= 1
 
     def figures(self, left: Array, names: Sequence[str]) -> dict[str, Any]:
-        """Return the same as figures."""
-        scale, sizes = self.scale(left), self.held.sizes if self.held else [0.0] * len(self.inputs)
-        of = [names[k] for k in self.inputs]
+        scale, of = self.scale(left), [names[k] for k in self.inputs]
         return {
             "starts": self.starts.kind,
             "scale": float(scale) if np.isfinite(scale) else None,
-            "inputs": dict(zip(of, sizes, strict=True)),
+            "inputs": dict(zip(of, self._sizes, strict=True)),
             "loads": dict(zip(of, self.loads, strict=True)),
         }
 
     @property
     def data(self) -> dict[str, Any]:
-        """What a certificate holds of it, where it is of an ellipsoid."""
-        assert isinstance(self.held, StartEllipsoid)
-        return self.about | {"Q": packed(self.held)}
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """The same without its form."""
+        """What a certificate holds of it."""
         assert self.held is not None
         kind: Literal["drive", "input"] = "input" if self.starts.load is None else "drive"
         return {
             "of": self.starts.kind,
             "loop": self.loop,
-            "starts": decimal_texts(self.starts.G if self.before is None else self.before),
+            "starts": decimal_texts(_rows(self.starts)),
             "weights": [decimal(w) for w in self.held.weights],
             "signals": signals(
                 (self.forms[k] if self.forms else (kind, k), size)
                 for k, size in zip(self.inputs, self.held.sizes, strict=True)
             ),
+            **held_content(self.held),
         }
 
 
@@ -158,15 +140,12 @@ class NoSaturation(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"limits": []}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["NoSaturation"]:
         """Yield what is known of limits where there are some; of starts only where nothing else acts."""
         if (room := asked.room) is not None:
-            yield _found(controller, room, room.starts)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["NoSaturation"]:
-        if (room := asked.room) is not None:
-            yield _found(controller, room, *known_before(content, room.starts, "input"))
+            alone = controller.running is controller.plant  # else what is merged acts too
+            found = promises(controller, room.left, room.starts, told) if alone and room.left is not None else ()
+            yield cls(room=room, promises=found)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
@@ -187,8 +166,8 @@ class NoSaturation(Claim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         loads = controller.plant.loads is not None
-        texts = [*self._takes(words, WITHOUT * loads), *self._reaches(words, loads=loads)]
-        yield from ((label, text) for label, text in zip(["limits", *[""] * len(texts)], texts, strict=False))
+        for k, text in enumerate([*self._takes(words, WITHOUT * loads), *self._reaches(words, loads=loads)]):
+            yield "" if k else "limits", text
 
     def _takes(self, words: Words, idle: str) -> Iterator[str]:
         """Yield what the feedforward takes of each limit, without loads that are estimated."""
@@ -202,9 +181,7 @@ class NoSaturation(Claim):
                 continue
             takes = f"its feedforward takes {_range(room.peak, k, unit)}{idle}"
             if any(input_ == k for input_, _ in room.peak.beyond(room.limits)):
-                after = (
-                    "" if room.lasting is None else f"; once that start is forgotten {_range(room.lasting, k, unit)}"
-                )
+                after = f"; once that start is forgotten {_range(room.lasting, k, unit)}" if room.lasting else ""
                 yield f"{said}: {takes}, more than that, from where the generator starts{after}"
             else:
                 over = float(room.peak.left(room.limits)[k])
@@ -232,17 +209,6 @@ class NoSaturation(Claim):
         return any(promise.of_this_run(self.room.left) for promise in self.promises)
 
 
-def _found(
-    controller: ProvedController,
-    room: Headroom,
-    starts: Sequence[Starts],
-    known: Mapping[str, StartEllipsoid] | None = None,
-) -> NoSaturation:
-    alone = controller.running is controller.plant  # else what is merged acts too
-    proved = promises(controller, room.left, starts, known) if alone and room.left is not None else ()
-    return NoSaturation(room=room, promises=proved)
-
-
 def ideal(controller: ProvedController) -> str:
     """Return what the loop of the theorems is without, and that no limit is reached from the start of the run."""
     if any(claim.from_this_start for claim in controller.claims_of(NoSaturation)):
@@ -254,7 +220,7 @@ def promises(
     controller: ProvedController,
     left: Array,
     starts: Sequence[Starts],
-    known: Mapping[str, StartEllipsoid] | None = None,
+    told: Told = None,
     forms: tuple[Form, ...] = (),
 ) -> tuple[StartGuarantee, ...]:
     """Prove from which starts inputs stay near their feedforward, or forms near x_d; what is not proved is not there.
@@ -268,38 +234,33 @@ def promises(
     Args:
         left: How far each input may be from its feedforward, (m,); infinite where it has no limit.
         starts: Which starts.
-        known: What was proved of starts before, by their kind: then nothing is searched.
+        told: A certificate: then nothing is searched.
         forms: Signals of x − x_d; `left` is about these then.
     """
-    loops, p = loops_of(controller), len(controller.L) - len(controller.plant.B)
-    off = taken_off(controller.compensation, loops.at_inputs)
+    loops = loops_of(controller, unmoved=True)
     inputs, found = tuple(int(k) for k in np.flatnonzero(np.isfinite(left))), list[StartGuarantee]()
-    for one in starts:
+    entries = [] if told is None else told["limits"]
+    known = {one["of"]: one for one in entries if (one["signals"][0][0] not in ("input", "drive")) == bool(forms)}
+    for one in starts if told is None else [nearby(one, known) for one in starts]:
         loop: Loop = "controller" if one.delta is None else "joint"
-        if loop not in loops.M or (p and one.delta is not None and (one.load is None or not off)):
+        if loop not in loops.M or not looked_at(controller, one):
             continue
         if forms:
             rows, loads = above(*(loops.row(loop, forms[k]) for k in inputs)), (0.0,) * len(inputs)
         else:
-            rows, loads = drive_rows(loops, loop, inputs), loads_at(loops, one, inputs)
+            rows, loads = drive_rows(loops, loop, inputs), loads_at(controller, one, inputs)
         promise = StartGuarantee(starts=one, loop=loop, inputs=inputs, held=None, loads=loads, forms=forms)
         if not one.G.any() or not any(rows.centre.entries()):
             found.append(promise)
             continue
-        if known is not None:
-            found += [replace(promise, held=known[one.kind])] if one.kind in known else []
+        if told is not None:
+            if (entry := known.get(one.kind)) is not None:
+                found.append(replace(promise, held=read_held(entry)))
             continue
         tries = (held(loops.M[loop], one.G, rows, left[list(inputs)], inner) for inner in loops.inners[loop])
         best = max((replace(promise, held=h) for h in tries if h), key=lambda p: p.scale(left), default=None)
         found += [best] if best else []
     return tuple(found)
-
-
-def loops_of(controller: ProvedController) -> Loops:
-    """Return the loops of a controller where estimates of loads do not move x_d."""
-    plant, (K, L) = controller.plant, controller.design.exact
-    n, p = len(plant.B), L.shape[0] - len(plant.B)
-    return Loops(plant, K, L, controller.proofs, zero(n, p), output=False)
 
 
 def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
@@ -308,44 +269,39 @@ def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
     return above(*(loops.row(loop, (kind, k)) for k in inputs))
 
 
-def loads_at(loops: Loops, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
+def at_inputs(controller: ProvedController) -> tuple[int, ...]:
+    """Return the input that each load is added to, if all are constants at inputs."""
+    loads = controller.plant.loads
+    return () if loads is None else loads.inputs(controller.plant.exact.B) or ()
+
+
+def loads_at(controller: ProvedController, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
     """Return how large the loads at each of these inputs are together."""
-    acting = np.zeros(loops.N - loops.n) if starts.load is None else np.abs(starts.load).sum(axis=1)
-    at = np.array(loops.at_inputs, dtype=int)
-    return tuple(float(acting[at == k].sum()) if acting.any() else 0.0 for k in inputs)
+    if starts.load is None or not starts.load.any():
+        return (0.0,) * len(inputs)
+    acting, at = np.abs(starts.load).sum(axis=1), np.array(at_inputs(controller), dtype=int)
+    return tuple(float(acting[at == k].sum()) for k in inputs)
 
 
-def read_sizes(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the weights of starts, and the sizes, that a certificate holds."""
-    sizes = tuple(size for _, size in read_signals(entry["signals"]))
-    return {"weights": tuple(map(double, entry["weights"])), "sizes": sizes}
-
-
-def known_before(
-    content: Mapping[str, Any], starts: Sequence[Starts], of: Literal["input", "state"]
-) -> tuple[list[Starts], dict[str, StartEllipsoid]]:
-    """Return starts as a certificate has them, and what it proves of them, of inputs or of signals of x."""
-    entries = {
-        entry["of"]: entry
-        for entry in content["limits"]
-        if (entry["signals"][0][0] in ("input", "drive")) == (of == "input")
-    }
-    known = {kind: StartEllipsoid(**whole(entry["Q"]), **read_sizes(entry)) for kind, entry in entries.items()}
-    return [nearby(one, entries) for one in starts], known
-
-
-def taken_off(added: Compensation, at_inputs: Sequence[int]) -> bool:
-    """Say whether estimates of loads do nothing but to be taken off the input that each load is added to."""
-    if not at_inputs or any(added.X.centre.entries()) or added.X.radius is not None:
-        return False
-    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at_inputs)]
+def taken_off(controller: ProvedController) -> bool:
+    """Say whether estimates of loads, if any, do nothing but to be taken off the input that each load is added to."""
+    added, at = controller.compensation, at_inputs(controller)
+    if not at or any(added.X.centre.entries()) or added.X.radius is not None:
+        return controller.plant.loads is None
+    off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at)]
     return bool(np.abs(off).max() <= _ROUNDING and np.abs(added.rate).max(initial=0.0) <= _ROUNDING)
+
+
+def looked_at(controller: ProvedController, starts: Starts) -> bool:
+    """Say whether starts can be looked at: with another x̂ loads act too, and are to be taken off inputs."""
+    told = (starts.load is None) == (controller.plant.loads is None)
+    return starts.delta is None or (told and taken_off(controller))
 
 
 def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     """Return starts as a certificate has them, if it has: those of a run follow from a simulation, to rounding."""
-    G, n = starts.G if starts.z is None else starts.z, len(starts.e)
-    told = np.array(doubles(entries[starts.kind]["starts"])) if starts.kind in entries else G
+    G, n = _rows(starts), len(starts.e)
+    told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
     G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
     if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
         return starts
@@ -353,6 +309,11 @@ def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
         return replace(starts, z=told)
     delta, load = (rows if len(rows) else None for rows in (told[n : 2 * n], told[2 * n :]))
     return replace(starts, e=told[:n], delta=delta, load=load)
+
+
+def _rows(starts: Starts) -> Array:
+    """Return G as the loop that they are looked at in has it."""
+    return starts.G if starts.z is None else starts.z
 
 
 def _peak(peak: Peak, k: int) -> dict[str, list[float]]:

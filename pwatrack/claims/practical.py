@@ -19,17 +19,10 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, text, zero
-from pwatrack.claims.exact_text import (
-    bounds_content,
-    function_content,
-    plant_content,
-    read_bounds,
-    signals,
-    term_content,
-)
+from pwatrack.claims.exact_text import FUNCTION, TERM, bounds_content, plant_content, read_bounds, signals
 from pwatrack.claims.limits import ideal
 from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
@@ -67,16 +60,14 @@ class Practical(Claim):
     beside: ClassVar[str] = "what is merged"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        """Yield nothing: what is merged is chosen where exact tracking is refused, see `workflow.simplified`."""
-        yield from ()
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Practical"]:
+        """Yield what a certificate tells: what is merged is chosen where exact tracking is refused.
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Practical"]:
-        told = content["practical"]
-        if told is not None:
-            bounds, plant = tuple(read_bounds(entry) for entry in told["bounds"]), controller.running
-            ways = merged_ways(told["merged"], plant)
+        See `workflow.simplified`.
+        """
+        if told is not None and (content := told["practical"]) is not None:
+            bounds, plant = tuple(map(read_bounds, content["bounds"])), controller.running
+            ways = merged_ways(content["merged"], plant)
             yield cls(plant=plant, merges=ways, replaced=(), evidence=None, bounds=bounds)
 
     @cached_property
@@ -231,7 +222,6 @@ class _Loops(Loops):
     seen: bool  # whether they drive the observer's error too
 
     def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
-        """Return g, (N, 1)."""
         if channel[0] != "deviation":
             return super().drive(loop, channel)
         e, nothing = self.columns[channel[1]], zero(self.N, 1)
@@ -261,7 +251,6 @@ class _Loops(Loops):
         return Bounds(channel=channel, sizes=sizes, parts=parts, proved=peaks)
 
     def proved_peak(self, part: SignalEllipsoid, signal: Form) -> PeakGain | None:
-        """Return the peak gain, where the loop has one matrix."""
         if len(self.M[part.loop]) != 1:
             return None
         drive, row = self.drive(part.loop, part.channel), self.row(part.loop, signal)
@@ -281,19 +270,12 @@ def merged_ways(told: Any, plant: PWASystem) -> tuple[Simplification, ...]:
 
 
 def _merge_content(merge: Simplification) -> dict[str, Any]:
-    return {
-        "element": merge.element,
-        "first": merge.first,
-        "last": merge.last,
-        "name": merge.nonlinearity.name,
-        **term_content(merge.nonlinearity),
-        "merged": function_content(merge.function),
-        "largest": text(merge.largest),
-    }
+    place = {"element": merge.element, "first": merge.first, "last": merge.last}
+    found = place | {"name": merge.nonlinearity.name} | TERM.write(merge.nonlinearity)
+    return found | {"merged": FUNCTION.write(merge.function), "largest": text(merge.largest)}
 
 
 def _width_text(words: Words, merge: Simplification) -> str:
-    """Say between which values an element was merged."""
     marks, unit = merge.nonlinearity.function.breakpoints, _unit(words, merge)
     low, high = float(marks[merge.first]), float(marks[merge.last])
     if low == -high:
@@ -309,11 +291,9 @@ def _merge_text(words: Words, merge: Simplification) -> str:
     count = merge.last - merge.first + 1
     gone = len(merge.nonlinearity.function.breakpoints) - len(merge.function.breakpoints)
     became = "one line" if straight else f"with {count} corners fewer" if gone == count else "with one corner"
-    parts = []
-    for j, size in _deviations(merge).items():
-        _, on, unit = words.cause(("disturbance", j))
-        parts.append(f"{up(size)} {unit} on {on}".replace("  ", " "))
-    of, most = _form_text(words, merge), ", ".join(parts)
+    each = ((size, words.cause(("disturbance", j))) for j, size in _deviations(merge).items())
+    most = ", ".join(f"{up(size)} {unit} on {on}".replace("  ", " ") for size, (_, on, unit) in each)
+    of = _form_text(words, merge)
     return f"{merge.nonlinearity.name}, of {of}, {became}: it deviates by at most {most}"
 
 

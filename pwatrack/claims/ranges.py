@@ -9,7 +9,7 @@ import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, up
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.sampled_disturbances import joined, numbers
 from pwatrack.control.words import Words, down
 
@@ -31,7 +31,7 @@ class ProgramRanges(Claim):
     steps: Array
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["ProgramRanges"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["ProgramRanges"]:
         """Yield them where all that acts has a bound; with loads if the start of the run is known."""
         quanta, loads = asked.words.conditions.quanta, controller.plant.loads
         steps = np.zeros(controller.plant.B.shape[1]) if quanta is None else quanta.inputs / 2

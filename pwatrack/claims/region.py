@@ -5,6 +5,7 @@ the input as it is limited, so Δ is untouched. From every start it is enough th
 with H = 0: by (9) Δ goes to 0 exponentially, and e is driven by it linearly.
 """
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -13,25 +14,25 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import above, places, zero
-from pwatrack.claims.exact_text import decimal_texts, doubles, packed, proof_content, read_proof, whole
+from pwatrack.claims.bounds import loops_of
+from pwatrack.claims.exact_text import Held, decimal_texts, read_held
 from pwatrack.claims.limits import (
     NoSaturation,
     StartGuarantee,
+    at_inputs,
     drive_rows,
     loads_at,
-    loops_of,
+    looked_at,
     nearby,
-    read_sizes,
     taken_off,
 )
 from pwatrack.control.bounds import Loop, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.vertices import outermost
 from pwatrack.control.words import Words, down, matrix_text
-from pwatrack.lmi.polynomial import PolynomialProof
-from pwatrack.lmi.polynomial_region import AnyRegion, PolynomialRegion, region_around
-from pwatrack.lmi.saturated import MOST_WORK, Region, SaturatedLoop
+from pwatrack.lmi.polynomial_region import region_around
+from pwatrack.lmi.saturated import MOST_WORK, SaturatedLoop
 
 _TRIES = 3  # of how the room of several inputs is shared with their loads
 _NOT_FOUND = "no ellipsoid was found that proves it"
@@ -51,6 +52,30 @@ class RegionClaim(Claim):
     found: tuple[StartGuarantee, ...] = ()
     missing: str = ""
 
+    KEY: ClassVar[str]  # of run.json
+    LABEL: ClassVar[str]
+
+    @abstractmethod
+    def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
+        """Say what a guarantee is, of starts that are told in words."""
+
+    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
+        left, inputs = self.left, words.plant.inputs
+        names = [*inputs, *(f"change of {name}" for name in inputs)]
+        said = [] if left is None else [one.figures(left, names) for one in self.found]
+        return {self.KEY: {"starts": said, "missing": self.missing}}
+
+    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
+        left, found = self.left, () if self.left is None else self.found
+        if left is None or not found:
+            yield self.LABEL, f"not proved: {self.missing}"
+            return
+        for k, one in enumerate(found):
+            starts = one.said(left, loads=controller.plant.loads is not None)
+            if one.starts.kind == "every":
+                starts = f"every start{_with_loads(self.room, words, controller, one)}"
+            yield "" if k else self.LABEL, self.said(starts, one, words)
+
     @property
     def left(self) -> Array | None:
         """How far each input may be from its feedforward, (m,)."""
@@ -67,18 +92,12 @@ class RegionClaim(Claim):
         run = next((starts for starts in room.starts if starts.kind == "run"), None)
         bears = exact = loads is None or (run is not None and run.delta is None)
         if loads is not None and left is not None and run is not None and run.load is not None:
-            at, acting = np.array(loads.inputs(controller.plant.exact.B) or ()), -run.load.sum(axis=1)
+            at, acting = np.array(at_inputs(controller)), -run.load.sum(axis=1)
             each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
             bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
         every = (one for one in self.found if one.starts.kind == "every")
         whole = any(exact or one.starts.delta is not None for one in every)
         return (bears and whole) or any(one.of_this_run(left) for one in self.found)
-
-    def starts_said(self, left: Array, words: Words, controller: ProvedController, one: StartGuarantee) -> str:
-        """Say of which starts a guarantee is, where each input may be so far from its feedforward, (m,)."""
-        if one.starts.kind == "every":
-            return f"every start{_with_loads(self.room, words, controller, one)}"
-        return one.said(left, loads=controller.plant.loads is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,52 +116,42 @@ class LimitedRegion(RegionClaim):
         "d, V(starts v) <= the sum of weights_a v^2a <= 1, v^a the monomials of degree d, and (H z)^2d <= sizes^2d V."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"regions": []}
+    KEY: ClassVar[str] = "limits_active"
+    LABEL: ClassVar[str] = "limits active"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["LimitedRegion"]:
         """Yield the starts for which it is proved, or why there are none, where inputs have limits."""
-        room = asked.room
-        if room is not None:
+        if (room := asked.room) is not None:
             missing = _beyond(controller, room)
-            found = () if missing else regions(controller, room)
+            if missing or told is None:
+                found = () if missing else regions(controller, room)
+            else:
+                entries = {entry["of"]: entry for entry in told["regions"]}
+                starts = [every(controller), *(nearby(one, entries) for one in room.starts)]
+                known = [(one, read_held(entries[one.kind])) for one in starts if one.kind in entries]
+                found = tuple(_of(controller, one, room, held) for one, held in known)
             yield cls(room=room, found=found, missing=missing or _NOT_FOUND * (not found))
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["LimitedRegion"]:
-        room, entries = asked.room, {entry["of"]: entry for entry in content["regions"]}
-        if room is None:
-            return
-        missing, found = _beyond(controller, room), list[StartGuarantee]()
-        starts = () if missing else (every(controller), *(nearby(one, entries) for one in room.starts))
-        for one in starts:
-            if (entry := entries.get(one.kind)) is not None:
-                found.append(_of(loops_of(controller), one, room, _read(entry)))
-        yield cls(room=room, found=tuple(found), missing=missing or _NOT_FOUND * (not found))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         cheaper = controller.design.cheaper
-        return {"regions": [one.about | _content(one.held) for one in self.found]} | (
+        return {"regions": [one.data for one in self.found]} | (
             {} if cheaper is None else {"K_of_least_cost": decimal_texts(cheaper)}
         )
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        left, names, cheaper = self.left, words.plant.inputs, controller.design.cheaper
-        said = [] if left is None else [one.figures(left, names) for one in self.found]
-        smaller = None if cheaper is None else _smaller(controller, cheaper)
-        return {"limits_active": {"starts": said, "missing": self.missing, "K_smaller_by": smaller}}
+        smaller = _smaller(controller)
+        return {self.KEY: super().figures(words, controller)[self.KEY] | {"K_smaller_by": smaller}}
+
+    def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
+        starts += self.room.whatever_said(one.starts)
+        return f"in the loop as designed {self.goes} from {starts}, with inputs at their limits too"
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        left, label = self.left, "limits active"
-        if left is None or not self.found:
-            yield label, f"not proved: {self.missing}"
-            return
-        for one in self.found:
-            starts = self.starts_said(left, words, controller, one) + self.room.whatever_said(one.starts)
-            yield label, f"in the loop as designed {self.goes} from {starts}, with inputs at their limits too"
-            label = ""
-        cheaper = controller.design.cheaper
-        if cheaper is not None:
-            much = f"{_smaller(controller, cheaper):.2g} times smaller"
+        yield from super().rows(words, controller)
+        smaller, cheaper = _smaller(controller), controller.design.cheaper
+        if smaller is not None and cheaper is not None and self.found and self.left is not None:
+            much = f"{smaller:.2g} times smaller"
             yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
@@ -157,18 +166,18 @@ def _with_loads(room: Headroom, words: Words, controller: ProvedController, one:
         return ""
     if one.starts.delta is None:
         return " with x̂ = x, while no load acts"
-    at = {k for k in controller.plant.loads.inputs(controller.plant.exact.B) or () if k in one.inputs}
     named = []
-    for k in sorted(at):
+    for k in sorted({*at_inputs(controller)} & {*one.inputs}):
         name, (low, high) = words.plant.inputs[k], np.abs(room.bearable[k]).tolist()
         ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
         named.append(f"{name} from {ends}")
     return f" and all constant loads at {' and at '.join(named)}" if named else ""
 
 
-def _smaller(controller: ProvedController, cheaper: Array) -> float:
-    """Return how many times as large as K the gain of least cost is, in sizes."""
-    return controller.sizes.norm(cheaper) / controller.sizes.norm(controller.K)
+def _smaller(controller: ProvedController) -> float | None:
+    """Return how many times as large as K the gain of least cost is, in sizes; None where K is that."""
+    sizes, cheaper = controller.sizes, controller.design.cheaper
+    return None if cheaper is None else sizes.norm(cheaper) / sizes.norm(controller.K)
 
 
 def nothing_left(room: Headroom) -> str:
@@ -191,69 +200,54 @@ def _beyond(controller: ProvedController, room: Headroom) -> str:
 
 def regions(controller: ProvedController, room: Headroom) -> tuple[StartGuarantee, ...]:
     """Prove from which starts errors go to 0 with limits active: from every one, or from multiples of those given."""
-    loops, inputs = loops_of(controller), room.inputs
+    loops, inputs = loops_of(controller, unmoved=True), room.inputs
     loop = _saturated(loops, "controller", inputs)
     held = loop.everywhere() if loop.work <= MOST_WORK else None
     if held is not None:
-        return (_of(loops, every(controller), room, held),)
-    found, acts = list[StartGuarantee](), taken_off(controller.compensation, loops.at_inputs)
+        return (_of(controller, every(controller), room, held),)
+    found = list[StartGuarantee]()
     for one in room.starts:
         name: Loop = "controller" if one.delta is None else "joint"
-        known = one.delta is None or loops.n == loops.N or (one.load is not None and acts)
-        if name not in loops.M or not known:
+        if name not in loops.M or not looked_at(controller, one):
             continue
         loop = _saturated(loops, name, inputs)
         balls = any(X.radius is not None for X in loop.M)  # a polynomial is asked of all different cells then
         enough = 0.0 if balls and len(controller.plant.hull) < len(places(controller.plant.exact.A)) else np.inf
-        tried = _largest(loops, loop, one, room, enough) if loop.work <= MOST_WORK else None
-        found += [tried] if tried is not None else []
+        if loop.work <= MOST_WORK and (tried := _largest(controller, loop, one, room, enough)):
+            found.append(tried)
     return tuple(found)
 
 
-def _content(held: Any) -> dict[str, Any]:
-    form = {"V": proof_content(held.proof)} if isinstance(held, PolynomialRegion) else {"Q": packed(held)}
-    return form | {"H": decimal_texts(held.H)}
-
-
-def _read(entry: Mapping[str, Any]) -> AnyRegion:
-    H = np.asarray(doubles(entry["H"]))
-    if "Q" in entry:
-        return Region(H=H, **whole(entry["Q"]), **read_sizes(entry))
-    proof = read_proof(entry["V"])
-    assert isinstance(proof, PolynomialProof)
-    return PolynomialRegion(proof=proof, H=H, **read_sizes(entry))
-
-
-def _largest(loops: Loops, loop: SaturatedLoop, starts: Starts, room: Headroom, enough: float) -> StartGuarantee | None:
+def _largest(
+    controller: ProvedController, loop: SaturatedLoop, starts: Starts, room: Headroom, enough: float
+) -> StartGuarantee | None:
     """Return the region of the largest multiple of starts; what loads at an input take of its room is in proportion.
 
     Where an ellipsoid holds enough times the starts no polynomial is looked for.
     """
     left, inputs = room.spare, list(room.inputs)
     assert left is not None
-    loads, share, best = np.array(loads_at(loops, starts, inputs)), 0.0, None
+    loads, share, best = np.array(loads_at(controller, starts, inputs)), 0.0, None
     for _ in range(_TRIES if loads.any() else 1):
         held = region_around(loop, starts.G, np.maximum(left[inputs] - share * loads, 0.0), enough=enough)
         if held is None:
             break
-        found = _of(loops, starts, room, held)
+        found = _of(controller, starts, room, held)
         share = found.scale(left)
         best = found if best is None or share > best.scale(left) else best
     return best
 
 
-def _of(loops: Loops, starts: Starts, room: Headroom, held: AnyRegion) -> StartGuarantee:
+def _of(controller: ProvedController, starts: Starts, room: Headroom, held: Held) -> StartGuarantee:
     loop: Loop = "joint" if starts.delta is not None and starts.kind != "every" else "controller"
-    inputs = room.inputs
-    loads = (0.0,) * len(inputs) if starts.kind == "every" else loads_at(loops, starts, inputs)
-    return StartGuarantee(starts=starts, loop=loop, inputs=inputs, held=held, loads=loads)
+    loads = loads_at(controller, starts, room.inputs)
+    return StartGuarantee(starts=starts, loop=loop, inputs=room.inputs, held=held, loads=loads)
 
 
 def every(controller: ProvedController) -> Starts:
     """Return all starts, of Δ too where estimates of loads do not move x_d."""
     n, N = len(controller.plant.B), len(controller.L)
-    free = n == N or taken_off(controller.compensation, loops_of(controller).at_inputs)
-    return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if free else None)
+    return Starts(kind="every", e=np.zeros((n, 0)), delta=np.zeros((N, 0)) if taken_off(controller) else None)
 
 
 def _saturated(loops: Loops, loop: Loop, inputs: tuple[int, ...]) -> SaturatedLoop:

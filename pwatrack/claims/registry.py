@@ -1,6 +1,6 @@
 """The claims that there are, in the order in which they are proved and said. Nothing else lists them."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from pwatrack.claims.sampled_box import SampledBox, SampledBoxBounds
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.claims.set_points import SetPoints
 from pwatrack.claims.stable_inversion import StableInversion
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.words import Words
 
 CLAIMS: tuple[type[Claim], ...] = (
@@ -56,13 +56,16 @@ STATEMENT = " ".join(
 )
 
 
-def proved(controller: ProvedController, asked: Asked, kinds: Collection[type[Claim]] = CLAIMS) -> ProvedController:
+def proved(
+    controller: ProvedController, asked: Asked, kinds: Collection[type[Claim]] = CLAIMS, *, told: Told = None
+) -> ProvedController:
     """Return a controller with all claims that can be made of it, or some kinds of them, beside those that it has.
 
-    Raises PwatrackError if one was asked for and is not so, or not proved.
+    From a certificate, if there is one, without a solver. Raises PwatrackError if a claim was asked for and is not so,
+    or not proved; ValueError if one that is told does not fit to the controller.
     """
     for kind in (kind for kind in CLAIMS if kind in kinds):
-        controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked)))
+        controller = replace(controller, claims=(*controller.claims, *kind.prove(controller, asked, told)))
     return controller
 
 
@@ -71,16 +74,6 @@ def again(controller: ProvedController, asked: Asked, kinds: Collection[type[Cla
     kept = tuple(claim for claim in controller.claims if type(claim) not in kinds)
     found = proved(replace(controller, claims=kept), asked, kinds)
     return replace(found, claims=tuple(sorted(found.claims, key=lambda claim: CLAIMS.index(type(claim)))))
-
-
-def read(content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> ProvedController:
-    """Return a controller with the claims that a certificate holds, without a solver.
-
-    Raises ValueError if one does not fit to the controller.
-    """
-    for kind in CLAIMS:
-        controller = replace(controller, claims=(*controller.claims, *kind.read(content, controller, asked)))
-    return controller
 
 
 def data(controller: ProvedController) -> dict[str, Any]:

@@ -16,9 +16,9 @@ import numpy as np
 from pwatrack.arrays import OVER_SUMS, Array, number_text, up
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
 from pwatrack.claims.bounds import from_start, with_acting
-from pwatrack.claims.exact_text import bounds_content, radii, read_bounds
+from pwatrack.claims.exact_text import bounds_content, corner_content, read_bounds
 from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.convergence import best_certificate
 from pwatrack.control.synthesis import Gains
 from pwatrack.control.vertices import Differences
@@ -52,19 +52,16 @@ class Robust(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"uncertain": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        if asked.box:
-            plant, output = controller.plant, controller.tracking == "output"
-            corners = asked.corners(plant)
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Robust"]:
+        if not asked.box:
+            return
+        plant, output = controller.plant, controller.tracking == "output"
+        corners = tuple(asked.corners(plant))
+        if told is None:
             yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["Robust"]:
-        told = content["uncertain"]
-        if told is not None and asked.box:
-            plant, corners = controller.plant, tuple(asked.corners(controller.plant))
+        elif (content := told["uncertain"]) is not None:
             count = len(joint_matrices(plant.exact, corners, *controller.design.exact))
-            bounds = tuple(read_bounds(entry) for entry in told["bounds"])
+            bounds = tuple(map(read_bounds, content["bounds"]))
             yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
@@ -107,7 +104,6 @@ class Robust(Claim):
 
     @property
     def parameters(self) -> str:
-        """The intervals of the box in words."""
         return ", ".join(interval.text for interval in self.box)
 
     @property
@@ -179,27 +175,12 @@ def prove_box(
     return Robust(box=box, plant=plant, corners=tuple(corners), count=len(M), bounds=tuple(bounds))
 
 
-def corner_content(corner: Matrices) -> dict[str, Any]:
-    """Return the matrices at a corner in exact numbers."""
-    return {
-        "A": [X.texts for X in corner.A],
-        "b": [X.texts for X in corner.b],
-        "B": corner.B.texts,
-        "radius": {"A": radii(corner.A), "b": radii(corner.b), "B": corner.B.radius_texts},
-    }
-
-
 def varying_rows(exact: Matrices, corners: Sequence[Matrices]) -> list[int]:
     """Return the state equations in which the plants differ."""
-    return [
-        k
-        for k in range(exact.B.shape[0])
-        if any(
-            any((X.part([k], range(X.shape[1])).centre - Y.part([k], range(X.shape[1])).centre).entries())
-            for corner in corners
-            for X, Y in zip((*corner.A, *corner.b, corner.B), (*exact.A, *exact.b, exact.B), strict=True)
-        )
-    ]
+    own = (*exact.A, *exact.b, exact.B)
+    pairs = (zip((*corner.A, *corner.b, corner.B), own, strict=True) for corner in corners)
+    off = [(X.centre - Y.centre).tolist() for each in pairs for X, Y in each]
+    return [k for k in range(exact.B.shape[0]) if any(any(D[k]) for D in off)]
 
 
 def joint_matrices(exact: Matrices, corners: Sequence[Matrices], K: BallMatrix, L: BallMatrix) -> list[BallMatrix]:

@@ -3,16 +3,16 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, tee
 from typing import Any, ClassVar
 
 import numpy as np
 
 from pwatrack.arrays import Array, amount, number_text, up
 from pwatrack.claims.decay import in_a_line
-from pwatrack.claims.exact_text import clocked_content, decimal, decimal_texts, double, doubles, read_clocked
+from pwatrack.claims.exact_text import CLOCKED, DECIMAL, MATRIX, NUMBER, Record, Text
 from pwatrack.claims.practical import Practical
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.estimated_loads import OnEstimates, refused
 from pwatrack.control.goal import AtLeast
 from pwatrack.control.sampled_error import SampledErrors
@@ -28,6 +28,8 @@ from pwatrack.model.sizes import Sizes
 
 _LAST_DIGIT = 1e-5  # of the largest entry of a gain, in sizes
 _NOT_FOUND = "no forms were found that prove it"
+_TIMES: dict[str, Text] = {"sample_time": DECIMAL, "substeps": NUMBER, "delay": NUMBER, "jitter": DECIMAL}
+_GAINS = Record(SampledGains, K=MATRIX, M=MATRIX, E=MATRIX, **_TIMES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,49 +86,30 @@ class SampledLoop(SampledClaim):
     nothing: ClassVar[Mapping[str, Any]] = {"sampled": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SampledLoop"]:
         """Yield the proof, or why there is none, where the loop is to be sampled."""
-        if asked.sampled is not None:
-            found = _proved(controller, _candidates(controller, asked, asked.sampled))
-            yield found if asked.room is None else replace(found, cheaper=_cheaper(controller, asked, found.gains))
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledLoop"]:
-        told = content["sampled"]
-        if told is not None:
-            gains = _read_gains(told)
+        content = None if told is None else told["sampled"]
+        if content is not None:
+            gains = _GAINS.read(content)
             cheaper = None if asked.sampled is None else _cheaper(controller, asked, gains)
             merged = bool(controller.claims_of(Practical))
-            yield cls(gains=gains, proof=read_clocked(told), merged=merged, cheaper=cheaper)
+            yield cls(gains=gains, proof=CLOCKED.read(content), merged=merged, cheaper=cheaper)
         elif asked.sampled is not None:
             tried = _candidates(controller, asked, asked.sampled)
-            gains = next(tried)
-            missing = _beyond(controller, gains)
-            gains = gains if missing else _steady(controller, gains, tried)
-            yield cls(gains=gains, proof=None, missing=missing or _NOT_FOUND)
+            found = _proved(controller, tried, search=told is None)
+            own = asked.room is not None and told is None
+            yield replace(found, cheaper=_cheaper(controller, asked, found.gains)) if own else found
 
     @property
     def runs_with(self) -> SampledGains:
-        """The gains of the program, proved or not."""
         return self.gains
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         if self.proof is None:
             return {}
-        gains, errors = self.gains, errors_of(controller, self.gains)
-        return {
-            "sampled": {
-                "K": decimal_texts(gains.K),
-                "M": decimal_texts(gains.M),
-                "E": decimal_texts(gains.E),
-                "rows": errors.R.texts,
-                "sample_time": decimal(gains.sample_time),
-                "substeps": gains.substeps,
-                "delay": gains.delay,
-                "jitter": decimal(gains.jitter),
-                **clocked_content(self.proof),
-            }
-        }
+        gains, rows = _GAINS.write(self.gains), errors_of(controller, self.gains).R.texts
+        before = {name: gains[name] for name in "KME"} | {"rows": rows}
+        return {"sampled": before | gains | CLOCKED.write(self.proof)}
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         yield "sampled loop", self.sentence
@@ -141,7 +124,6 @@ class SampledLoop(SampledClaim):
 
     @property
     def sentence(self) -> str:
-        """What is proved of it."""
         if self.proof is None:
             return f"not proved: {self.missing}"
         gains = self.gains
@@ -223,19 +205,18 @@ def _cheaper(controller: ProvedController, asked: Asked, gains: SampledGains) ->
     return own[0].K if sought else None
 
 
-def _proved(controller: ProvedController, tried: Iterator[SampledGains]) -> SampledLoop:
+def _proved(controller: ProvedController, tried: Iterator[SampledGains], *, search: bool) -> SampledLoop:
     """Return a proof of the first gains that have one, with as many substeps as it needs; else some without."""
     first = next(tried)
     if missing := _beyond(controller, first):
         return SampledLoop(gains=first, proof=None, missing=missing)
+    if not search:
+        return SampledLoop(gains=_steady(controller, first, tried), proof=None, missing=_NOT_FOUND)
     design = controller.plant, controller.design.K, controller.design.L, controller.sizes
     estimates = on_estimates(controller)
-    seen = list[SampledGains]()
-    for each in chain([first], tried):
-        seen.append(each)
-        if found := with_forms(controller.plant, each, estimates, controller.sizes):
-            break
-    gains, proof = found or (_steady(controller, first, seen[1:]), None)
+    others, tried = tee(tried)
+    found = (with_forms(controller.plant, each, estimates, controller.sizes) for each in chain([first], tried))
+    gains, proof = next(filter(None, found), None) or (_steady(controller, first, others), None)
     missing, merged = "" if proof else _NOT_FOUND, bool(controller.claims_of(Practical))
     return SampledLoop(gains=gains, proof=proof, missing=missing, design=design, estimates=estimates, merged=merged)
 
@@ -255,15 +236,3 @@ def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:
         return False
     seen = ((sizes.gain(of.K), sizes.correction(of.M)) for of in (one, other))
     return all(np.abs(a - b).max() <= _LAST_DIGIT * np.abs(b).max() for a, b in zip(*seen, strict=True))
-
-
-def _read_gains(told: Any) -> SampledGains:
-    return SampledGains(
-        K=np.asarray(doubles(told["K"])),
-        M=np.asarray(doubles(told["M"])),
-        E=np.asarray(doubles(told["E"])).reshape(len(told["E"]), len(told["K"])),
-        sample_time=double(told["sample_time"]),
-        substeps=told["substeps"],
-        delay=told["delay"],
-        jitter=double(told["jitter"]),
-    )

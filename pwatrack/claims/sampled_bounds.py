@@ -9,7 +9,7 @@ Where a prediction begins and ends in one cell, moving drives nothing. A bound o
 in which substeps that is so; then less is driven, which makes that bound less, and so on.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from itertools import product
@@ -27,9 +27,9 @@ from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.claims.sampled_start import from_start, of_this_start
 from pwatrack.claims.tube_search import KINDS, TubeSearch
-from pwatrack.claims.tube_text import Sizes
+from pwatrack.claims.tube_text import Sizes, Tubes
 from pwatrack.control.bounds import Channel, Form
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.off_time import OffTime
 from pwatrack.control.sampled_disturbances import SUMMED, Acting, across, level, shifted
 from pwatrack.control.sampled_error import SampledErrors
@@ -45,6 +45,7 @@ _CORNERS = 64  # of boxes of flows, up to which each is looked at for tubes: bou
 _END = 10  # the end of a run is a tenth of it
 _DIGITS = 4  # of what is told
 _LOOKS = 30  # at where predictions may cross planes, at most
+_Levels = Sequence[tuple[Sizes, Sequence[tuple[Array, Tube]]]]  # V^½ of the tubes of what acts, in each substep, (K,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,16 +55,14 @@ class TubeBounds(Claim):
     Attributes:
         errors: Of the loop with its program.
         acts: On them in the run.
-        tubes: Of each channel, those that are proved: the one that says less counts.
+        tubes: Those that are proved, each of one channel or of several together.
         forms: What the sizes of a tube are of.
-        together: Channels that have one tube together: in `tubes` the k-th of these is ("together", k).
     """
 
     errors: SampledErrors = field(repr=False)
     acts: Acting = field(repr=False)
-    tubes: Mapping[Channel, tuple[Tube, ...]]
+    tubes: Tubes
     forms: tuple[Form, ...]
-    together: tuple[Sizes, ...] = ()
 
     KEY: ClassVar[str]
 
@@ -73,15 +72,18 @@ class TubeBounds(Claim):
         raise NotImplementedError
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator[Self]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator[Self]:
         """Yield the bounds, where the sampled loop is proved and it is known what acts."""
+        before = None if told is None else tube_text.read(told[cls.KEY])
         for proof, errors, acts in cls.known(controller, asked):
-            found = cls(errors=errors, acts=acts, tubes={}, forms=tuple(seen(controller)))
+            found = cls(errors=errors, acts=acts, tubes=(), forms=tuple(seen(controller)))
+            if before is not None:
+                yield found._told(*before)
+                continue
             few, opened = found._sought(proof)
             if opened is not None:
                 search = TubeSearch.of(controller, found.forms, opened, proof)
-                tubes, together = search.together(acts) if few is None else (search.tubes(few), ())
-                found = replace(found, tubes=tubes, together=together)
+                found = replace(found, tubes=tuple(search.together(acts) if few is None else search.tubes(few)))
             yield found
 
     def _sought(self, proof: ClockedProof) -> tuple[Acting | None, SampledErrors | None]:
@@ -99,39 +101,30 @@ class TubeBounds(Claim):
                 return each, errors
         return None, None
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator[Self]:
-        entries, told = tube_text.read(content[cls.KEY])
-        for _, errors, acts in cls.known(controller, asked):
-            same, errors = of_this_start(told, errors)
-            tubes, together = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
-            for whole, tube in entries:
-                of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
-                if not of:
-                    continue
-                if not of.keys() <= acts.squares.keys():
-                    raise ValueError("a tube is of something that does not act")
-                if not tube.summed and any(kind == "swap" for kind, _ in of):
-                    raise ValueError("what u is off its time is summed")
-                alone = [*whole.values()] == [1.0]
-                together += [] if alone else [of]
-                channels: Iterable[Channel] = of if alone else [("together", len(together) - 1)]
-                tubes |= {channel: (*tubes.get(channel, ()), tube) for channel in channels}
-            forms = tuple(seen(controller))
-            yield cls(errors=errors, acts=acts, tubes=tubes, forms=forms, together=tuple(together))
+    def _told(self, entries: Sequence[tuple[Sizes, Tube]], starts: Mapping[Channel, Any]) -> Self:
+        """Return the bounds with the tubes, and the start, of a certificate."""
+        same, errors = of_this_start(starts, self.errors)
+        tubes = dict[Any, tuple[Sizes, tuple[Tube, ...]]]()
+        for whole, tube in entries:
+            of = {channel: size for channel, size in whole.items() if same or channel[0] != "start"}
+            if not of:
+                continue
+            if not of.keys() <= self.acts.squares.keys():
+                raise ValueError("a tube is of something that does not act")
+            if not tube.summed and any(kind == "swap" for kind, _ in of):
+                raise ValueError("what u is off its time is summed")
+            key = tuple(whole.items())
+            tubes[key] = of, (*tubes.get(key, (of, ()))[1], tube)
+        return replace(self, errors=errors, tubes=tuple(tubes.values()))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        each = ((self._of(channel), tube) for channel, tubes in self.tubes.items() for tube in tubes)
-        return {self.KEY: list(tube_text.told(each, self.forms, self._starts))}
+        each = ((of, tube) for of, tubes in self.tubes for tube in tubes)
+        return {self.KEY: list(tube_text.told(each, self.forms, self.errors.starts or ()))}
 
     @property
     def covered(self) -> set[Channel]:
         """All channels that have a tube, alone or together."""
-        return {one for channel in self.tubes for one in self._of(channel)}
-
-    def _of(self, channel: Channel) -> Sizes:
-        """Return which channels a tube is of."""
-        return self.together[channel[1]] if channel[0] == "together" else {channel: 1.0}
+        return {channel for of, _ in self.tubes for channel in of}
 
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
         """Return below what each signal is in the end of the run, if what its start left is gone.
@@ -144,13 +137,9 @@ class TubeBounds(Claim):
     def ends_by(self, controller: ProvedController, form: Form) -> dict[Channel, float]:
         """Return what each channel leaves of a signal there at most; of those with one tube the share of it."""
         k, last, found = self.forms.index(form), self._last(controller), dict[Channel, float]()
-        for channel, each in (self._settled or {}).items():
-            tubes = self.tubes[channel]
-            most = min(float((V[last] * one.sizes[k]).max()) for V, one in zip(each, tubes, strict=True))
-            acts = {one: size for one, size in self._of(channel).items() if one in self.acts.squares}
-            parts = {
-                one: self._alone(one, size, tubes[0])[last].max() for one, size in acts.items() if one[0] != "start"
-            }
+        for of, each in self._settled or ():
+            most = min(float((V[last] * one.sizes[k]).max()) for V, one in each)
+            parts = {one: self._alone(one, size, each[0][1])[last].max() for one, size in of.items()}
             total = sum(parts.values())
             found |= {one: most * float(part / total) for one, part in parts.items() if part > 0}
         return found
@@ -177,11 +166,11 @@ class TubeBounds(Claim):
         return {} if self.errors.starts is None else self._total(self._looked(start=True), start=True)
 
     @cached_property
-    def _settled(self) -> dict[Channel, list[Array]] | None:
+    def _settled(self) -> _Levels | None:
         """V^½ of each tube in each substep, from error 0 on, with predictions crossing planes where they may."""
         return self._looked(start=False)
 
-    def _looked(self, *, start: bool) -> dict[Channel, list[Array]] | None:
+    def _looked(self, *, start: bool) -> _Levels | None:
         where = np.ones((2, len(self.acts.near)), dtype=bool)
         planes, of = self.acts.planes, self.errors
         rows = (self.acts.near, across(of, planes)), (self.acts.apart, shifted(of, planes))
@@ -233,37 +222,33 @@ class TubeBounds(Claim):
     @property
     def begun(self) -> Array | None:
         """Where the run is as its first input acts, if that is late, known, and not on x_d, (order, k)."""
-        if self.acts.late is None or not self._starts:
-            return None
-        return np.hstack([column.floats for column in self._starts])
-
-    @property
-    def _starts(self) -> Sequence[BallMatrix]:
-        return self.errors.starts or ()
+        starts = self.errors.starts
+        return np.hstack([column.floats for column in starts]) if starts and self.acts.late is not None else None
 
     @cached_property
-    def _everywhere(self) -> dict[Channel, list[Array]] | None:
+    def _everywhere(self) -> _Levels | None:
         """V^½ of each tube in each substep, where predictions may cross planes at any time, from error 0 on."""
         return self._levels(np.ones((2, len(self.acts.near))))
 
-    def _levels(self, where: Array, *, start: bool = False) -> dict[Channel, list[Array]] | None:
+    def _levels(self, where: Array, *, start: bool = False) -> _Levels | None:
         """Return V^½ of each tube in each substep, where predictions, and x_d by estimates, cross planes at most.
 
         None where something has no tube.
         """
-        found, left = dict[Channel, list[Array]](), {one for one in self.acts.squares if start or one[0] != "start"}
+        found, left = list[tuple[Sizes, list[tuple[Array, Tube]]]](), {*self.acts.squares}
+        left = left if start else {one for one in left if one[0] != "start"}
         acting = {"moved": where[0], "drawn": where[1], "cell": where[1], "eta": where[1]}
-        for channel, tubes in self.tubes.items():
-            if channel[0] == "rounding":
-                found[channel] = [np.sqrt(self.acts.squares[channel])] * len(tubes)
-                left.discard(channel)
-            elif of := {one: size for one, size in self._of(channel).items() if one in left}:
+        for whole, tubes in self.tubes:
+            of = {one: size for one, size in whole.items() if one in left}
+            if ("rounding", 0) in of:
+                found.append((of, [(np.sqrt(self.acts.squares["rounding", 0]), tube) for tube in tubes]))
+            elif of:
                 each = ((self.acts.together(of, tube, acting), tube) for tube in tubes)
-                found[channel] = [level(d, tube, self.errors.gains) for d, tube in each]
-                left -= of.keys()
+                found.append((of, [(level(d, tube, self.errors.gains), tube) for d, tube in each]))
+            left -= of.keys()
         return None if left else found
 
-    def _off(self, levels: Mapping[Channel, Sequence[Array]] | None, rows: Array) -> Array:
+    def _off(self, levels: _Levels | None, rows: Array) -> Array:
         """Return what some rows (A, P, order) read off z at most, the largest of each A, (K, P)."""
         if not len(rows):
             return np.full((len(self.acts.near), rows.shape[1]), -1.0)
@@ -271,7 +256,7 @@ class TubeBounds(Claim):
         each = self._sum(levels, len(flat), lambda one: one.spread(flat))
         return np.asarray(each.reshape(len(each), *rows.shape[:2]).max(axis=1))
 
-    def _total(self, levels: Mapping[Channel, Sequence[Array]] | None, *, start: bool = False) -> dict[Form, Array]:
+    def _total(self, levels: _Levels | None, *, start: bool = False) -> dict[Form, Array]:
         """Return what signals are at most in each substep; from the start on with what is before the first input."""
         if levels is None:
             return {}
@@ -281,14 +266,11 @@ class TubeBounds(Claim):
         most = self._sum(levels, len(self.forms), lambda one: np.array(one.sizes))
         return {form: each + beside.get(form, 0.0) for form, each in zip(self.forms, most.T, strict=True)}
 
-    def _sum(
-        self, levels: Mapping[Channel, Sequence[Array]] | None, count: int, sizes: Callable[[Tube], Array]
-    ) -> Array:
+    def _sum(self, levels: _Levels | None, count: int, sizes: Callable[[Tube], Array]) -> Array:
         """Return what all channels leave of so many signals in each substep, (K, s); ∞ where one has no tube."""
         total = np.full((len(self.acts.near), count), np.inf if levels is None else 0.0)
-        for channel, each in (levels or {}).items():
-            left = (V[:, None] * sizes(one) for V, one in zip(each, self.tubes[channel], strict=True))
-            total = total + reduce(np.minimum, left)
+        for _, each in levels or ():
+            total = total + reduce(np.minimum, (V[:, None] * sizes(one) for V, one in each))
         return np.asarray(total * OVER_SUMS)
 
     def allows(self, controller: ProvedController, seen: Seen) -> dict[Form, Array]:
@@ -303,7 +285,7 @@ class TubeBounds(Claim):
         times, firsts = seen.t / gains.sample_time, self._firsts(seen.start[:n], seen.start[n:])
         passed = np.maximum(seen.t - gains.jitter / 2, 0.0)  # by the program's time at least
         most = dict.fromkeys(self.anywhere, np.full(len(seen.t), np.inf))
-        for one in (one for each in self.tubes.values() for one in each):
+        for one in (one for _, each in self.tubes for one in each):
             size = max(in_ellipsoid(one.Q[0], z) for z in firsts)
             ticks = np.floor(passed / gains.sample_time * (1 - _ROUNDED))
             fallen = np.exp(-one.a / 2 * passed + np.log1p(-one.b) / 2 * ticks)
@@ -335,8 +317,8 @@ class TubeBounds(Claim):
                     acts[channel][0]: {
                         words.signal(form)[0]: most / size for form, most in zip(self.forms, one.sizes, strict=True)
                     }
-                    for key, (one, *_) in self.tubes.items()
-                    for channel, size in self._of(key).items()
+                    for of, (one, *_) in self.tubes
+                    for channel, size in of.items()
                     if channel in acts
                 },
                 **{

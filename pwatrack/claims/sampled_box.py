@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from pwatrack.arrays import up
-from pwatrack.claims.exact_text import clocked_content, read_clocked
+from pwatrack.claims.exact_text import CLOCKED
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled import SampledClaim, SampledLoop, errors_of
 from pwatrack.claims.sampled_bounds import TubeBounds, shown
-from pwatrack.control.controller import Asked, ProvedController, Row
+from pwatrack.control.controller import Asked, ProvedController, Row, Told
 from pwatrack.control.sampled_disturbances import Acting
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_search import with_corners
@@ -31,23 +31,20 @@ class SampledBox(SampledClaim):
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_uncertain": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledBox"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SampledBox"]:
         """Yield the proof, or why there is none, where the loop is sampled and proved, and parameters are uncertain."""
         for loop, of, errors in _both(controller):
             assert loop.proof is not None
-            proof, missing = with_corners(errors, len(loop.proof.P) // errors.parts - 1)
-            yield cls(of=of, gains=loop.gains, proof=proof, missing=missing)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledBox"]:
-        told = content["sampled_uncertain"]
-        for loop, of, _ in _both(controller):
-            proof = None if told is None else read_clocked(told)
-            missing = "no proof is in the certificate" * (proof is None)
+            if told is None:
+                proof, missing = with_corners(errors, len(loop.proof.P) // errors.parts - 1)
+            else:
+                content = told["sampled_uncertain"]
+                proof = None if content is None else CLOCKED.read(content)
+                missing = "no proof is in the certificate" * (proof is None)
             yield cls(of=of, gains=loop.gains, proof=proof, missing=missing)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        return {} if self.proof is None else {"sampled_uncertain": clocked_content(self.proof)}
+        return {} if self.proof is None else {"sampled_uncertain": CLOCKED.write(self.proof)}
 
     def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
         return {"sampled_uncertain": {"rate": None if self.proof is None else self.rate}}

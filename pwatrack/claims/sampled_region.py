@@ -5,7 +5,7 @@ gain against windup makes of them: see `lmi.clocked_region`. What acts in the ru
 beside the feedforward, in the loop without limits, is taken off what the feedforward leaves of them.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -15,21 +15,21 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import decimal_texts, diagonals, doubles, packed, packed_forms, read_diagonals
-from pwatrack.claims.limits import StartGuarantee, loads_at, loops_of, nearby, read_sizes, taken_off
+from pwatrack.claims.exact_text import Held, read_held
+from pwatrack.claims.limits import StartGuarantee, loads_at, looked_at, nearby, taken_off
 from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
-from pwatrack.control.bounds import Form, Loops
+from pwatrack.control.bounds import Form
 from pwatrack.control.candidates import short
-from pwatrack.control.controller import Asked, ProvedController, Row
+from pwatrack.control.controller import Asked, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.sampled_disturbances import beside_loads, cut_off, drives
 from pwatrack.control.sampled_error import SampledErrors
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
-from pwatrack.lmi.clocked_region import ClockedRegion, SaturatedTicks
+from pwatrack.lmi.clocked_region import SaturatedTicks
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.saturated import SaturatedLoop
 from pwatrack.rational import floats
@@ -70,50 +70,21 @@ class SampledRegion(RegionClaim):
         "makes of the change."
     )
     nothing: ClassVar[Mapping[str, Any]] = {"sampled_regions": []}
+    KEY: ClassVar[str] = "sampled_limits_active"
+    LABEL: ClassVar[str] = "limits, sampled"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SampledRegion"]:
         """Yield the starts for which it is proved, or why there are none, where the loop is sampled and has limits."""
-        for search in _Search.of(controller, asked):
-            found = () if search.missing else tuple(search.regions())
-            yield search.told(found)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: ProvedController, asked: Asked) -> Iterator["SampledRegion"]:
-        entries = {entry["of"]: entry for entry in content["sampled_regions"]}
-        for search in _Search.of(controller, asked):
-            told = {kind: entry | {"starts": search.behind(entry)} for kind, entry in entries.items()}
-            known = () if search.missing else (every(controller), *(nearby(one, told) for one in search.starts))
-            found = [search.guarantee(one, _read(entries[one.kind])) for one in known if one.kind in entries]
-            yield search.told(tuple(found))
+        yield from (search.claim(told) for search in _Search.of(controller, asked))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        return {
-            "sampled_regions": [
-                one.about
-                | {"P": [packed(P) for P in one.held.P], "T": diagonals(one.held.T), "H": decimal_texts(one.held.H)}
-                for one in self.found
-                if isinstance(one.held, ClockedRegion)
-            ]
-        }
+        return {"sampled_regions": [one.data for one in self.found]}
 
-    def figures(self, words: Words, controller: ProvedController) -> dict[str, Any]:
-        left, inputs = self.left, words.plant.inputs
-        names = [*inputs, *(f"change of {name}" for name in inputs)]
-        said = [] if left is None else [one.figures(left, names) for one in self.found]
-        return {"sampled_limits_active": {"starts": said, "missing": self.missing}}
-
-    def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        left, label = self.left, "limits, sampled"
-        if left is None or not self.found:
-            yield label, f"not proved: {self.missing}"
-            return
-        for one in self.found:
-            starts = self.starts_said(left, words, controller, one)
-            whole = one.starts.kind == "every" or one.of_this_run(left)
-            starts += ", as the first input acts" * (self.late and not whole)
-            yield label, f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
-            label = ""
+    def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
+        whole = one.starts.kind == "every" or one.of_this_run(self.left)
+        starts += ", as the first input acts" * (self.late and not whole)
+        return f"in the sampled loop {self.goes} from {starts}, {self._with}{words.as_designed}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors settle from the start of the run with inputs at their limits, where that is proved."""
@@ -141,11 +112,9 @@ class _Search:
     """Looks for regions of one loop."""
 
     controller: ProvedController
-    loop: SampledLoop
-    room: Headroom  # without what acts takes
-    changes: Array | None  # likewise, of what inputs may change by in a sample, (m,)
-    idle: bool
-    missing: str
+    gains: SampledGains
+    proof: ClockedProof  # of the loop without limits
+    bare: SampledRegion  # nothing is found yet; its room is without what acts takes
     off: Array  # columns by which x̂(0) of the run may be off, (n, q), as it is made of what is measured
     begun: Array | None  # where the run is as its first input acts, where that is late and known, (order, k)
 
@@ -156,13 +125,13 @@ class _Search:
         With `alone` as if nothing acted: then no bound of what does is needed.
         """
         room = asked.room
-        for loop in controller.claims_of(SampledLoop) if room is not None else ():
+        for loop in controller.claims_of(SampledLoop):
             if loop.proof is None or room is None:
                 continue
-            X, inputs = np.zeros(controller.plant.C.T.shape), tuple(range(controller.plant.B.shape[1]))
+            X, inputs = asked.measured, tuple(range(controller.plant.B.shape[1]))
+            X, begun = np.zeros(controller.plant.C.T.shape) if X is None else X, None
             taken, idle = np.full(len(inputs), 0.0 if alone else np.inf), alone
             missing, changes = _beyond(controller, room), asked.changes
-            X, begun = X if asked.measured is None else asked.measured, None
             for bounds in controller.claims_of(SampledBounds) if not (missing or alone) else ():
                 taken, changed = bounds.taken(inputs, drives(bounds.errors, inputs))
                 idle, X, changes = bounds.idle, X * bounds.noise, None if changes is None else changes - changed
@@ -174,32 +143,29 @@ class _Search:
                 missing = "what acts takes all that is left of the limits" * (room.spare is None)
             if not missing and changes is not None and not (changes > 0).all():
                 missing = "what acts, or how x_d begins, takes all that an input may change by"
-            yield cls(
-                controller=controller,
-                loop=loop,
-                room=room,
-                changes=changes,
-                idle=idle,
-                missing=missing,
-                off=X,
-                begun=begun,
-            )
+            bare = SampledRegion(room=room, changes=changes, idle=idle, late=loop.gains.delay > 0, missing=missing)
+            yield cls(controller=controller, gains=loop.gains, proof=loop.proof, bare=bare, off=X, begun=begun)
 
-    def told(self, found: tuple[StartGuarantee, ...]) -> SampledRegion:
-        """Return the claim."""
-        missing, late = self.missing or _NOT_FOUND * (not found), self.loop.gains.delay > 0
-        room, changes, idle = self.room, self.changes, self.idle
-        return SampledRegion(room=room, changes=changes, idle=idle, late=late, found=found, missing=missing)
+    def claim(self, told: Told = None, kinds: Collection[str] = ()) -> SampledRegion:
+        """Return the claim with what is proved of all starts, or of some kinds; as a certificate tells it."""
+        if self.bare.missing:
+            return self.bare
+        found = tuple(self.regions(kinds) if told is None else self.read(told["sampled_regions"]))
+        return replace(self.bare, found=found, missing=_NOT_FOUND * (not found))
+
+    def read(self, entries: Sequence[Any]) -> Iterator[StartGuarantee]:
+        told = {entry["of"]: entry for entry in entries}
+        known = (nearby(replace(one, z=self.errors.before(one)), told) for one in self.starts)
+        for one in (one for one in (every(self.controller), *known) if one.kind in told):
+            yield self.guarantee(one, read_held(told[one.kind]))
 
     @property
-    def left(self) -> Array | None:
-        """How far each input may be from its feedforward, then what is left of its changes."""
-        return self.told(()).left
+    def room(self) -> Headroom:
+        return self.bare.room
 
     @cached_property
     def errors(self) -> SampledErrors:
-        """Of the loop."""
-        return errors_of(self.controller, self.loop.gains)
+        return errors_of(self.controller, self.gains)
 
     @property
     def own(self) -> list[int]:
@@ -215,32 +181,20 @@ class _Search:
         return found
 
     @cached_property
-    def loops(self) -> Loops:
-        """The loops in continuous time, which know where loads act."""
-        return loops_of(self.controller)
-
-    @cached_property
     def starts(self) -> list[Starts]:
         """Those that are looked at: of a run or an ensemble with what noise and steps of sensors add to x̂(0).
 
         Where inputs are late what errors are as the first one acts is known of x̂ = x, predicted so, and of the run.
         """
-        if self.loop.gains.delay:
+        if self.gains.delay:
             run = [] if self.begun is None else [one for one in self.room.starts if one.kind == "run"]
             late = [replace(one, z=self.begun) for one in run]
             return [*(one for one in self.room.starts if one.kind == "exact"), *late]
-        own, loads = ("exact", "sizes", "members"), self.loops.N - self.loops.n
+        own, loads = ("exact", "sizes", "members"), len(self.controller.L) - len(self.controller.plant.B)
         return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
 
     @cached_property
-    def proof(self) -> ClockedProof:
-        """Of the loop without limits."""
-        assert self.loop.proof is not None
-        return self.loop.proof
-
-    @cached_property
     def ticks(self) -> SaturatedTicks:
-        """The loop with its limits."""
         system, (n, m, *_) = self.errors.clocked, self.errors.widths
         put_out = drives(self.errors, [k % m for k in self.limited])
         return SaturatedTicks(
@@ -258,13 +212,14 @@ class _Search:
     def limited(self) -> tuple[int, ...]:
         """Which inputs have limits, and which have limits of changes, counted on from those."""
         m = len(self.room.limits)
-        finite = () if self.changes is None else np.flatnonzero(np.isfinite(self.changes)).tolist()
+        changes = self.bare.changes
+        finite = () if changes is None else np.flatnonzero(np.isfinite(changes)).tolist()
         return (*self.room.inputs, *(m + k for k in finite))
 
     @cached_property
     def continuous(self) -> SaturatedLoop:
         """The loop of (e, Δ, σ) as if its ticks went on all the time: for short samples nearly what it does."""
-        errors, gains, inputs, (n, m, N, *_) = self.errors, self.loop.gains, self.room.inputs, self.errors.widths
+        errors, gains, inputs, (n, m, N, *_) = self.errors, self.gains, self.room.inputs, self.errors.widths
         corrects = gains.M @ errors.plant.observed.C.floats / gains.sample_time
         own = self.own
         W = beside_loads(errors, tuple(range(m)))[:, n:]
@@ -284,21 +239,18 @@ class _Search:
 
     def regions(self, kinds: Collection[str] = ()) -> Iterator[StartGuarantee]:
         """Yield what is proved: of every start, or of multiples of those that are given, or of some kinds of them."""
-        off = taken_off(self.controller.compensation, self.loops.at_inputs)
-        free = (self.loops.n == self.loops.N or off) and not self.ticks.before.floats.any()
+        free = taken_off(self.controller) and not self.ticks.before.floats.any()
         held = self.ticks.everywhere() if free else None
         if held is not None:
             yield self.guarantee(every(self.controller), held)
             return
         for one in (one for one in self.starts if not kinds or one.kind in kinds):
-            if one.delta is None or self.loops.n == self.loops.N or (one.load is not None and off):
-                best = self._largest(one)
-                if best is not None:
-                    yield best
+            if looked_at(self.controller, one) and (best := self._largest(one)):
+                yield best
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
         """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""
-        left, (_, m, N, *_), gains, inputs = self.left, self.errors.widths, self.loop.gains, list(self.room.inputs)
+        left, (_, m, N, *_), gains, inputs = self.bare.left, self.errors.widths, self.gains, list(self.room.inputs)
         assert left is not None
         G, room = self.as_newest(self.errors.before(starts)), np.maximum(left[inputs], 0.0)
         for faster in _FASTER:
@@ -309,16 +261,16 @@ class _Search:
                 whole = np.zeros((N, m))
                 whole[:, inputs] = E * (much * gains.sample_time)
                 made = replace(gains, E=short(whole))
-                found = replace(self, loop=replace(self.loop, gains=made))._largest(starts)
+                found = replace(self, gains=made)._largest(starts)
                 yield made, 0.0 if found is None else found.scale(left)
 
     def _largest(self, starts: Starts) -> StartGuarantee | None:
         """Return the region of the largest multiple that is proved, of a few H."""
-        left, (n, m, N, *_), ticks, best, had = self.left, self.errors.widths, self.ticks, None, 0.0
+        left, (n, m, N, *_), ticks, best, had = self.bare.left, self.errors.widths, self.ticks, None, 0.0
         assert left is not None
         before, own, inputs = self.errors.before(starts), self.own, len(self.room.inputs)
         room, ticked = np.maximum(left[list(self.limited)], 0.0), self.errors.ticks[0].floats[own]
-        if self.loop.gains.delay:  # an input is made of the oldest prediction
+        if self.gains.delay:  # an input is made of the oldest prediction
             oldest = n + m + (self.errors.predicted - 1) * N
             ticked = np.eye(self.errors.order)[[*range(n), *range(oldest, oldest + N)]]
         change = (ticks.D.floats - ticks.before.floats)[inputs:]
@@ -339,43 +291,32 @@ class _Search:
                 break
         return best
 
-    def guarantee(self, starts: Starts, held: ClockedRegion) -> StartGuarantee:
+    def guarantee(self, starts: Starts, held: Held) -> StartGuarantee:
         """Return what a region says of starts, as z before the first tick."""
-        inputs, own, m = self.room.inputs, starts.kind != "every", len(self.room.limits)
-        loads = loads_at(self.loops, starts, inputs) if own else (0.0,) * len(inputs)
+        inputs, m = self.room.inputs, len(self.room.limits)
         forms: tuple[Form, ...] = ()
         if self.limited != inputs:
             kind: Literal["drive", "input"] = "input" if starts.load is None else "drive"
             forms = (*((kind, k) for k in range(m)), *(("change", k) for k in range(m)))
         return StartGuarantee(
-            starts=starts,
+            starts=replace(starts, z=self.errors.before(starts)),
             loop="joint",
             inputs=self.limited,
             held=held,
-            loads=loads + (0.0,) * (len(self.limited) - len(inputs)),
+            loads=loads_at(self.controller, starts, inputs) + (0.0,) * (len(self.limited) - len(inputs)),
             forms=forms,
-            before=self.errors.before(starts),
         )
-
-    def behind(self, entry: Any) -> list[Any]:
-        """Return the rows of starts of a certificate that they are told by: (e, Δ, σ), e alone, or all of z."""
-        (n, m, N, *_), rows = self.errors.widths, list(entry["starts"])
-        own = next((one for one in self.starts if one.kind == entry["of"]), None)
-        if own is not None and own.z is not None:
-            return rows
-        return rows[:n] if own is None or own.delta is None else rows[:n] + rows[n + m : n + m + N]
 
 
 def if_alone(controller: ProvedController, asked: Asked, kinds: Collection[str]) -> Iterator[SampledRegion]:
     """Yield for which starts of some kinds it would be proved if nothing acted: as a rule for more than with that."""
-    for search in _Search.of(controller, asked, alone=True):
-        yield search.told(() if search.missing else tuple(search.regions(kinds)))
+    yield from (search.claim(kinds=kinds) for search in _Search.of(controller, asked, alone=True))
 
 
 def against_windup(controller: ProvedController, asked: Asked, kind: str) -> Iterator[tuple[SampledGains, float]]:
     """Yield gains with one against windup, and what multiple of the starts of a kind is proved with them."""
     for search in _Search.of(controller, asked):
-        for starts in search.starts if not search.missing else ():
+        for starts in search.starts if not search.bare.missing else ():
             if starts.kind == kind:
                 yield from search.against_windup(starts)
 
@@ -384,8 +325,3 @@ def _beyond(controller: ProvedController, room: Headroom) -> str:
     """Return why nothing is tried; "" where it is."""
     moved = on_estimates(controller) is not None
     return nothing_left(room) or "x_d or u_ff depend on estimates that are no constants at inputs" * moved
-
-
-def _read(entry: Any) -> ClockedRegion:
-    P, T = packed_forms(entry["P"]), read_diagonals(entry["T"])
-    return ClockedRegion(P=P, T=T, H=np.asarray(doubles(entry["H"])), **read_sizes(entry))

@@ -51,7 +51,7 @@ def _begun(errors: SampledErrors, acts: Acting, columns: Array) -> tuple[Sampled
 def of_this_start(told: Mapping[Channel, Any], errors: SampledErrors) -> tuple[bool, SampledErrors]:
     """Return errors with the start that a certificate tells of, and whether it is that of the run."""
     starts = errors.starts or ()
-    found = [np.array(doubles([told[channel]]))[0] for channel in sorted(told)]
+    found = [doubles([told[channel]])[0] for channel in sorted(told)]
     own = [column.floats[:, 0] for column in starts]
     same = len(own) == len(found) and all(
         a.shape == b.shape and np.allclose(a, b, rtol=CLOSE, atol=CLOSE * np.abs(b).max())

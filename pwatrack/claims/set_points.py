@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import number_text
-from pwatrack.control.controller import Asked, Claim, ProvedController, Row
+from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.demand import Demand
 from pwatrack.control.headroom import Headroom
 from pwatrack.control.words import Words, down
@@ -35,13 +35,12 @@ class SetPoints(Claim):
     nothing: ClassVar[Mapping[str, Any]] = {"set_points": None}
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["SetPoints"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["SetPoints"]:
         """Yield what set-points take, where the file has limits of them: it is proved before gains are made."""
         if asked.set_points is not None:
             yield cls(demand=asked.set_points, room=asked.room)
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        """Return what proves it."""
         return {} if self.demand.missing else {"set_points": self.demand.proof}
 
     @property
@@ -82,7 +81,6 @@ class SetPoints(Claim):
             yield "NOT proved", "limits with set-points at run time"
 
     def _leaves(self, k: int, unit: str, beyond: list[int]) -> str:
-        """Say what that leaves of an input."""
         if self.room is None or k not in self.room.inputs:
             return ""
         if k in beyond:

@@ -13,7 +13,7 @@ from pwatrack.claims.bounds import SignalBounds, in_ellipsoid
 from pwatrack.claims.robust import Robust
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import resting
-from pwatrack.control.controller import Asked, Claim, ProvedController
+from pwatrack.control.controller import Asked, Claim, ProvedController, Told
 from pwatrack.control.trajectory import NoncausalTrajectory
 from pwatrack.control.words import Words, all_cells
 from pwatrack.model.normal_form import NormalForm
@@ -35,7 +35,7 @@ class StableInversion(Claim):
     beside: ClassVar[str] = "what is played back"
 
     @classmethod
-    def prove(cls, controller: ProvedController, asked: Asked) -> Iterator["StableInversion"]:
+    def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["StableInversion"]:
         preview, form = controller.trajectory.preview, controller.form
         if preview is None or form is None:
             return

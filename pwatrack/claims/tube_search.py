@@ -1,6 +1,6 @@
 """Looks for tubes of what acts on the errors of a sampled loop: see `lmi.clocked_tubes`."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -68,20 +68,18 @@ class TubeSearch:
             sizes=np.array(sizes),
         )
 
-    def tubes(self, acts: Acting) -> dict[Channel, tuple[Tube, ...]]:
-        """Return the tubes that are proved, of each channel that has one: first that of its mean square."""
-        found = dict[Channel, tuple[Tube, ...]]()
+    def tubes(self, acts: Acting) -> Iterator[tuple[Sizes, tuple[Tube, ...]]]:
+        """Yield the tubes that are proved, of each channel that has one: first that of its mean square."""
         for channel in acts.squares:
             drive = driven(self.errors, channel)
             both = channel in acts.means and drive.corners(self.program.system) <= _CORNERS
             ways = (True,) if channel[0] in SUMMED else (False, True)[: 1 + both]
             each = (self._best(drive, summed) for summed in ways)
             if tubes := tuple(one for one in each if one is not None):
-                found[channel] = tubes
-        return found
+                yield {channel: 1.0}, tubes
 
-    def together(self, acts: Acting) -> tuple[dict[Channel, tuple[Tube, ...]], tuple[Sizes, ...]]:
-        """Return tubes of channels of one kind each, all in one, and the sizes of these: what a search takes less of.
+    def together(self, acts: Acting) -> Iterator[tuple[Sizes, tuple[Tube, ...]]]:
+        """Yield tubes of channels of one kind each, all in one: what a search takes less of.
 
         As large as they act, they leave what they would by themselves, in the loop of the mean of all vertices, if each
         has its share of d². An ellipsoid that holds a sum of others is no larger, in what is asked of it, than these.
@@ -90,17 +88,13 @@ class TubeSearch:
         for channel in acts.squares:
             drive = driven(self.errors, channel)
             kinds.setdefault((channel[0] in SUMMED, drive.ticks is None), {})[channel] = drive
-        tubes, found = dict[Channel, tuple[Tube, ...]](), list[Sizes]()
         for (summed, _), drives in kinds.items():
-            alone = len(drives) == 1
-            sizes = dict.fromkeys(drives, 1.0) if alone else self._sizes(acts, drives, summed)
+            sizes = dict.fromkeys(drives, 1.0) if len(drives) == 1 else self._sizes(acts, drives, summed)
             best = self._best(Drive.together([*drives.values()], [*sizes.values()]), summed)
             if best is not None:
-                tubes[next(iter(drives)) if alone else ("together", len(found))] = (best,)
-                found += [] if alone else [sizes]
+                yield sizes, (best,)
             elif not all(kind == "start" for kind, _ in drives):
                 break  # without it nothing is known
-        return tubes, tuple(found)
 
     def _sizes(self, acts: Acting, drives: Mapping[Channel, Drive], summed: bool) -> Sizes:
         """Return what of each channel is to be 1."""
@@ -122,9 +116,10 @@ class TubeSearch:
             return None
         at = _SHARES.index(best.share)
         best = self._walked(drive, best, [best.share] * _FINER, summed)
-        if self._quick:
+        quick = self.program.clock.unknowns**3 <= _QUICK
+        if quick:
             best = self._walked(drive, best, _SHARES[at + 1 :], summed)
-        if self._quick and best.share == _SHARES[of_mean]:
+        if quick and best.share == _SHARES[of_mean]:
             best = self._walked(drive, best, _SHARES[:at][::-1], summed)
         return replace(best.tube, sizes=best.tube.sizes[: len(self.forms)])
 
@@ -136,10 +131,6 @@ class TubeSearch:
                 break
             best = more
         return best
-
-    @property
-    def _quick(self) -> bool:
-        return self.program.clock.unknowns**3 <= _QUICK
 
     def _of_mean(self, drive: Drive) -> int:
         """Return which share of the rate leaves least in the loop of the mean of all vertices."""

@@ -4,21 +4,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import (
-    decimal,
-    diagonals,
-    double,
-    packed,
-    packed_forms,
-    read_channel,
-    read_diagonals,
-    read_signals,
-    signals,
-)
+from pwatrack.claims.exact_text import TUBE, decimal, double, read_channel, read_signals, signals
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.lmi.clocked_tubes import Tube
 
 Sizes = Mapping[Channel, float]  # of channels that have a tube, the size that is 1 of each
+Tubes = tuple[tuple[Sizes, tuple[Tube, ...]], ...]  # of channels that have one together: the one that says less counts
 
 
 def told(
@@ -32,11 +23,7 @@ def told(
                 | ({"start": starts[channel[1]].transpose().texts[0]} if channel[0] == "start" else {})
                 for channel, size in of.items()
             ],
-            "a": decimal(tube.a),
-            "b": decimal(tube.b),
-            "summed": int(tube.summed),
-            "Q": [packed(Q) for Q in tube.Q],
-            "T": diagonals(tube.T),
+            **TUBE.write(tube),
             "signals": signals(zip(forms, tube.sizes, strict=True)),
         }
 
@@ -49,13 +36,6 @@ def read(entries: Sequence[Any]) -> tuple[list[tuple[Sizes, Tube]], dict[Channel
             raise ValueError("tubes tell of different starts")
     found = list[tuple[Sizes, Tube]]()
     for entry in entries:
-        tube = Tube(
-            Q=packed_forms(entry["Q"]),
-            T=read_diagonals(entry["T"]),
-            a=double(entry["a"]),
-            b=double(entry["b"]),
-            sizes=tuple(size for _, size in read_signals(entry["signals"])),
-            summed=entry["summed"] == 1,
-        )
+        tube = TUBE.read(entry, sizes=tuple(size for _, size in read_signals(entry["signals"])))
         found.append(({read_channel(one["channel"]): double(one["size"]) for one in entry["acts"]}, tube))
     return found, starts

@@ -14,7 +14,7 @@ from pwatrack.claims.cost import read_costs
 from pwatrack.claims.decay import read_proofs
 from pwatrack.claims.exact_text import CLOSE, decimal_texts, doubles
 from pwatrack.claims.practical import merged_ways
-from pwatrack.claims.registry import STATEMENT, read
+from pwatrack.claims.registry import STATEMENT, proved
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.synthesis import Gains
@@ -111,7 +111,7 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),
         sizes=spec_sizes(spec),
     )
-    return read(content, controller, asked(spec, controller, content))
+    return proved(controller, asked(spec, controller, content), told=content)
 
 
 def _merged_as_told(spec: Spec, content: dict[str, Any]) -> Spec:

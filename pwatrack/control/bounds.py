@@ -55,7 +55,6 @@ Acts = Literal[
     "predicted",
     "swap",
     "rounding",
-    "together",
 ]
 Channel = tuple[Acts, int]
 Form = tuple[Literal["output", "state", "measured", "input", "estimate", "coupling", "drive", "change"], int]

@@ -33,6 +33,7 @@ from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.real import Box
 
+Told = Mapping[str, Any] | None  # a certificate, where there is one
 Row = tuple[str, str]  # a label, or nothing where it is that of the row before, and a sentence
 
 
@@ -79,21 +80,15 @@ class Claim(ABC):
 
     @classmethod
     @abstractmethod
-    def prove(cls, controller: "ProvedController", asked: Asked) -> "Iterator[Claim]":
+    def prove(cls, controller: "ProvedController", asked: Asked, told: Told = None) -> "Iterator[Claim]":
         """Yield what can be proved of a controller with the claims that come before: none, one or several.
+
+        From a certificate, if there is one, what it holds of it is taken, without a solver.
 
         Raises:
             PwatrackError: If it was asked for and is not so, or not proved.
+            ValueError: If what is told does not fit to the controller.
         """
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any], controller: "ProvedController", asked: Asked) -> "Iterator[Claim]":
-        """Yield what a certificate holds of it, without a solver; the same where it follows from other claims.
-
-        Raises:
-            ValueError: If that does not fit to the controller.
-        """
-        yield from cls.prove(controller, asked)
 
     def data(self, controller: "ProvedController") -> dict[str, Any]:
         """Return its part of a certificate, by key: exact numbers as text. Lists of several claims are joined."""

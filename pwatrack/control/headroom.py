@@ -93,7 +93,7 @@ class Starts:
         load: Rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their
             sign, (p, k). None where Δ = 0: then no load acts.
         z: Rows of G for all errors of a sampled loop whose inputs are late, as the first one acts, (order, k), with
-            what the run makes of the others till then; None where they act at once.
+            what the run makes of the others till then; None where they follow from those above.
     """
 
     kind: Literal["exact", "sizes", "run", "ensemble", "members", "every"]

@@ -89,9 +89,9 @@ class Rounding:
         wanted: list[Channel] = [*off, *(("noise", k) for k in range(len(known.errors.plant.C)))]
         acts = replace(known.acts, squares={one: np.ones(1) for one in wanted if one not in known.covered}, means={})
         search = TubeSearch.of(self.controller, known.forms, known.errors, self.proof)
-        tubes = {**known.tubes, **search.tubes(acts)}
-        kicked = tuple(self._kicked(tube) for each in tubes.values() for tube in each)
-        if not (kicked and off.keys() <= tubes.keys() | known.covered):
+        tubes = (*known.tubes, *search.tubes(acts))
+        kicked = tuple(self._kicked(tube) for _, each in tubes for tube in each)
+        if not (kicked and off.keys() <= replace(known, tubes=tubes).covered):
             raise CheckFailed(f"{NOT_KNOWN}no bound was found for what it leaves", hint=_OTHER)
         late, of = known.acts.late, self.controller.sizes
         each = self.predicted + self.corrected
@@ -102,7 +102,7 @@ class Rounding:
             squares["input", k] = (np.sqrt(squares.get(("input", k), np.zeros(count))) + size) ** 2
             beside["input", k] = beside.get(("input", k), 0.0) + np.full(count, size)
         acts = replace(known.acts, squares=squares, beside=beside)
-        found = replace(known, acts=acts, tubes={**tubes, _CHANNEL: kicked})
+        found = replace(known, acts=acts, tubes=(*tubes, ({_CHANNEL: 1.0}, kicked)))
         self._check_room(replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out))
         return found
 

@@ -26,7 +26,18 @@ def decided(loop: "Loop", whole: Any) -> tuple[list[str], list[str]]:
     channels = [(ACTS.index(of), k) for of, k in (entry["channel"] for entry in found)]
     if channels != sorted(set(channels)):
         faults.append("the bounds are not in order, or one is there twice")
-    return faults, [f"the bounds of {len(found)} disturbances, noises and starts are proved"] if found else []
+    return faults, [f"the bounds of {len(found)} disturbances, noises and starts are proved"]
+
+
+def leaving(matrices: list[Ball], g: Ball, part: Any, *, start: bool) -> list[str]:
+    """Return whether z from 0 on, driven by at most 1 along g, or from g on, can leave an ellipsoid."""
+    (Q, powers), rate = packed(part["Q"]), number(part["a"])
+    if not definite(Q) or rate <= 0:
+        raise AuditFault("Q or a is not positive")
+    outside = start and not definite(added(Q, squared(g)[0], -1))
+    push = () if start else squared(g, 1 / rate)
+    left = ["an ellipsoid can be left" for X in matrices if not falls(X, Q, powers, *push, rate=rate / 2)]
+    return ["the start is not in the ellipsoid"] * outside + left
 
 
 class Loop:
@@ -42,15 +53,8 @@ class Loop:
         distinct([signal[:2] for signal in entry["signals"]], "a signal of a bound")
         for proof in entry["parts"]:
             loop, channel = proof["loop"], proof["channel"]
-            M, g = self.matrices(loop), self.drive(loop, channel)
-            Q, powers = packed(proof["Q"])
-            rate = number(proof["a"])
-            if not definite(Q) or rate <= 0:
-                raise AuditFault("Q or a is not positive")
-            if channel[0] == "start" and not definite(added(Q, squared(g)[0], -1)):
-                faults.append("the start is not in the ellipsoid")
-            push = () if channel[0] == "start" else squared(g, 1 / rate)
-            faults += ["an ellipsoid can be left" for X in M if not falls(X, Q, powers, *push, rate=rate / 2)]
+            faults += leaving(self.matrices(loop), self.drive(loop, channel), proof, start=channel[0] == "start")
+            Q, _ = packed(proof["Q"])
             distinct([signal[:2] for signal in proof["signals"]], "a signal of an ellipsoid")
             for kind, k, size in proof["signals"]:
                 if beyond(self.row(loop, kind, k), Q, number(size)):

@@ -19,6 +19,25 @@ class AuditedBox(NamedTuple):
         """Return what a linear function makes of it."""
         return AuditedBox(of(self.middle), [of(Ball(D)).centre for D in self.edges])
 
+    @property
+    def factors(self) -> tuple[Matrix, Matrix]:
+        """U and V, a column of one and a row of the other for each edge u v^T: the first entry of v but 0 is 1."""
+        U, V = list[list[Fraction]](), list[list[Fraction]]()
+        for D in self.edges:
+            row = next(row for row in D if any(row))
+            at = next(k for k, v in enumerate(row) if v)
+            U.append([other[at] for other in D])
+            V.append([v / row[at] for v in row])
+        return transposed(U), V
+
+    @property
+    def corners(self) -> list[Ball]:
+        """All of them."""
+        found = [self.middle]
+        for D in self.edges:
+            found = [X + edge for X in found for edge in (Ball(D), -Ball(D))]
+        return found
+
 
 def boxes(matrices: list[Ball]) -> list[AuditedBox]:
     """Return the box whose corners some different matrices are, or each by itself."""
@@ -55,17 +74,6 @@ def differences(matrices: list[Ball]) -> list[AuditedBox]:
     return [AuditedBox((one.middle - one.middle), [times(D, 2) for D in one.edges]) for one in found if one.edges]
 
 
-def factors(edges: list[Matrix]) -> tuple[Matrix, Matrix]:
-    """Return U and V, a column of one and a row of the other for each edge u v^T: the first entry of v but 0 is 1."""
-    U, V = list[list[Fraction]](), list[list[Fraction]]()
-    for D in edges:
-        row = next(row for row in D if any(row))
-        at = next(k for k, v in enumerate(row) if v)
-        U.append([other[at] for other in D])
-        V.append([v / row[at] for v in row])
-    return transposed(U), V
-
-
 def squares(U: Matrix, V: Matrix, T: list[Fraction]) -> Matrix:
     """Return U T^-1 U^T + V^T T V: above U e V + V^T e U^T for all diagonal e between -I and I; [] without edges."""
     if not T:
@@ -73,12 +81,3 @@ def squares(U: Matrix, V: Matrix, T: list[Fraction]) -> Matrix:
     heavy = [times([row], t)[0] for row, t in zip(V, T, strict=True)]
     light = [[v / t for v, t in zip(row, T, strict=True)] for row in U]
     return added(product(transposed(V), heavy), product(light, transposed(U)))
-
-
-def spread(middle: Ball, U: Matrix, V: Matrix) -> list[Ball]:
-    """Return all corners of a box."""
-    found = [middle]
-    for u, v in zip(transposed(U), V, strict=True):
-        edge = Ball([[a * b for b in v] for a in u])
-        found = [X + one for X in found for one in (edge, -edge)]
-    return found

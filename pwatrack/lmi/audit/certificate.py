@@ -30,7 +30,7 @@ DECIDED = {  # each claim of `reading.PROOFS`
     "no P, by multipliers": no_P_by_Z,
     "no P, by unstable modes": no_P_by_modes,
 }
-# claims of a design: each has its SHAPE, by key, and `decided`
+# claims of a design: each has its SHAPE, by key, and `decided` where there is something of it
 CLAIMS = (bounds, set_points, starts, region, corners, simplified, clocked, tubes, sampled_region, sampled_box)
 DESIGN = REFUSAL | {"eta_with_loads?": ROWS, "K_of_least_cost?": ROWS}
 DESIGN |= {key: shape for claim in CLAIMS for key, shape in claim.SHAPE.items()}
@@ -88,7 +88,7 @@ def judged(content: Any) -> tuple[list[str], list[str]]:
         said.append(f"{NAMES[of]}: {claim(proof, plant)}{centres if which in CELLS else ''}")
         decided |= {of} - ({of} if which == "cost" else set())
     loop = Loop(plant, K or [], L or [], X, generator)
-    for one in () if refusal else CLAIMS:
+    for one in () if refusal else [one for one in CLAIMS if any(content[key] for key in one.SHAPE)]:
         wrong, sentences = one.decided(loop, content)
         faults += wrong
         said += sentences

@@ -26,8 +26,6 @@ Knot = tuple[Matrix, list[Fraction], list[Fraction]]  # a form, about the roots 
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the proof of the sampled loop, and what it claims."""
     content = whole["sampled"]
-    if content is None:
-        return [], []
     h, rate = number(content["sample_time"]), number(content["rate"])
     if h <= 0 or rate <= 0 or content["substeps"] < 1 or not 0 <= number(content["jitter"]) < h:
         raise AuditFault("a time, the rate or the number of substeps of the sampled loop is out of range")
@@ -51,7 +49,7 @@ def runs_of(errors: AuditedErrors, P: Any, T: Any, fault: str) -> list[list[Knot
     knots, rest = divmod(len(forms), errors.parts)
     if rest or knots < 2 or any(len(form) != errors.order for form, _ in forms) or len(diagonals) != len(forms):
         raise AuditFault(fault)
-    counts = {0, len(errors.flows[0][2])}
+    counts = {0, len(errors.flows[0].edges)}
     if len({len(row) for row in diagonals}) != 1 or len(diagonals[0]) not in counts:
         raise AuditFault(fault)
     if not all(t > 0 for row in diagonals for t in row):
@@ -80,9 +78,10 @@ def growing(errors: AuditedErrors, content: Any, ticks: list[Ball], rate: Fracti
 def falling(errors: AuditedErrors, knot: Knot, rise: Matrix, rate: Fraction) -> bool:
     """Decide that a form that rises by so much falls in all boxes."""
     P, powers, T = knot
-    for F, U, V in errors.opened(len(T)):
+    for box in errors.opened(len(T)):
+        U, V = box.factors
         more = squares(product(P, U), V, T) if T else []
-        if not falls(F.T, P, powers, added(rise, more) if more else rise, rate=rate):
+        if not falls(box.middle.T, P, powers, added(rise, more) if more else rise, rate=rate):
             return False
     return True
 

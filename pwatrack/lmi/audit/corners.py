@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .balls import Ball, sides, stacked, unlike
+from .balls import Ball, frozen, sides, stacked, unlike
 from .bounds import BOUNDS, Loop
 from .matrices import AuditFault, Matrix
 from .plant import AuditedPlant
@@ -38,11 +38,6 @@ class UncertainLoop(Loop):
             if row != other[0][k]
         }
 
-    def count(self) -> int:
-        """Return how many corners there are, one that is listed twice once: ends of parameters may give one plant."""
-        tables = [(*corner.A, *corner.b, corner.B) for corner in self.corners]
-        return len({tuple(tuple(map(tuple, X)) for ball in table for X in ball) for table in tables})
-
     def matrices(self, name: str) -> list[Ball]:
         """Return the matrices of (e, Delta) for all corners and pairs of cells."""
         if name != "joint":
@@ -60,8 +55,6 @@ class UncertainLoop(Loop):
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the bounds for all plants between some corners, and what they claim."""
     content = whole["uncertain"]
-    if content is None:
-        return [], []
     box = UncertainLoop(whole["plant"], content["corners"], loop.K, loop.L)
     faults = [f"corner {k + 1}: {fault}" for k, corner in enumerate(box.corners) for fault in corner.faults()]
     signals = [[signal[:2] for signal in entry["signals"]] for entry in content["bounds"]]
@@ -74,5 +67,6 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     names = ", ".join(name for name, _, _ in content["parameters"])
     faults += [] if names else ["none is named, and there are bounds for them"]
     count = len(box.matrices("joint"))
-    said = f"uncertain parameters: {names}: {count} inequalities are proved, for {box.count()} corners"
+    different = {tuple(map(frozen, (*one.A, *one.b, one.B))) for one in box.corners}  # ends may give one plant
+    said = f"uncertain parameters: {names}: {count} inequalities are proved, for {len(different)} corners"
     return [f"uncertain parameters: {fault}" for fault in faults], [said]

@@ -1,7 +1,7 @@
 """A plant as it is written: a linear field and scalar elements. Its cells are counted, and never listed."""
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from itertools import product
 from math import prod
@@ -59,11 +59,9 @@ class Element:
         if len(self.row) != n or len(self.direction) != n or not any(self.row):
             raise AuditFault("an element does not fit the plant")
 
-    @property
-    def ends(self) -> list[int]:
-        """The first segments with the least and with the largest slope."""
-        slopes = self.function.slopes
-        return sorted({slopes.index(min(slopes)), slopes.index(max(slopes))})
+    def firsts(self, slopes: Iterable[Fraction]) -> list[int]:
+        """Return the first segments with some slopes."""
+        return sorted({self.function.slopes.index(v) for v in slopes})
 
 
 class Elements:
@@ -82,22 +80,23 @@ class Elements:
             raise AuditFault("the rows of the elements are not independent")
         if [len(names) for names in self.names] != [len(element.function.slopes) for element in self.each]:
             raise AuditFault("a segment of an element has no name")
-        if prod(len(element.ends) for element in self.each) > _MOST_CORNERS:
-            raise AuditFault(f"the elements have more than {_MOST_CORNERS} corners")
 
     @property
     def corners(self) -> list[Segments]:
         """The cells at the corners of the box of slopes: A_i is affine in these, so each is a mean of theirs."""
-        spend(prod(len(element.ends) for element in self.each) * len(self.A) ** 2 / 4)
-        return list(product(*(element.ends for element in self.each)))
+        return self.combined([e.firsts([min(e.function.slopes), max(e.function.slopes)]) for e in self.each])
 
     @property
     def slopes(self) -> list[Segments]:
         """Cells with all combinations of slopes."""
-        each = [[e.function.slopes.index(v) for v in dict.fromkeys(e.function.slopes)] for e in self.each]
-        if prod(map(len, each)) > _MOST_CORNERS:
-            raise AuditFault(f"the elements have more than {_MOST_CORNERS} slopes")
-        spend(prod(map(len, each)) * len(self.A) ** 2 / 4)
+        return self.combined([e.firsts(e.function.slopes) for e in self.each])
+
+    def combined(self, each: list[list[int]]) -> list[Segments]:
+        """Return the cells with all combinations of some segments of each element."""
+        count = prod(map(len, each))
+        if count > _MOST_CORNERS:
+            raise AuditFault(f"the elements have more than {_MOST_CORNERS} corners, or combinations of slopes")
+        spend(count * len(self.A) ** 2 / 4)
         return list(product(*each))
 
     def segments(self, i: int) -> Segments:

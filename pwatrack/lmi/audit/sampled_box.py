@@ -22,8 +22,6 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     content, found = whole["sampled_uncertain"], whole["sampled_uncertain_bounds"]
     if found and (content is None or whole["practical"] is not None):
         raise AuditFault("there are bounds for uncertain parameters and sampling, and no proof, or cells are merged")
-    if content is None:
-        return [], []
     if whole["sampled"] is None or whole["uncertain"] is None:
         raise AuditFault("there is a proof for uncertain parameters and sampling, and none for one of these")
     rate = number(content["rate"])

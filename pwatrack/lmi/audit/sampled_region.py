@@ -22,8 +22,6 @@ SHAPE = {"sampled_regions": [REGION]}
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the regions of the sampled loop with limits active, and what they claim."""
     found = whole["sampled_regions"]
-    if not found:
-        return [], []
     if whole["sampled"] is None:
         raise AuditFault("there are regions of a sampled loop, and none is proved")
     distinct([[entry["of"]] for entry in found], "a region of the sampled loop")

@@ -8,10 +8,10 @@ from fractions import Fraction
 from itertools import accumulate
 from typing import Any
 
-from .balls import Ball, added_or, beyond, falls, sides, squared, stacked, unit, unlike, zero
-from .bounds import Loop
+from .balls import Ball, added_or, beyond, sides, stacked, unit, unlike, zero
+from .bounds import Loop, leaving
 from .form import coordinates, once
-from .matrices import AuditFault, added, definite, identity, times
+from .matrices import AuditFault, identity, times
 from .plant import AuditedPlant
 from .reading import matrix, number, packed, place
 from .shape import NUMBER, PACKED, ROWS, TEXT, WHOLE, of
@@ -46,7 +46,7 @@ class ToldSetPoints:
         if any(v for k, v in enumerate(self.middle) if k not in firsts):
             raise AuditFault("a derivative is not as large upward as downward")
         (r, p, q), middle, eta = (self.r, self.p, self.q), Ball([self.middle[: self.r]]).T, Ball([self.eta]).T
-        self.shift = stacked(  # (xi, eta, y^(r), 1) of (v, z, 1)
+        self.shift = stacked(  # by which rows on (xi, eta, y^(r), 1) are ones on (v, z, 1)
             sides(Ball(identity(r, 1)), zero(r, p + q), middle),
             sides(Ball(self.M), zero(q, p), Ball(identity(q, 1)), eta),
             sides(zero(p, r), Ball(identity(p, 1)), zero(p, q + 1)),
@@ -76,15 +76,11 @@ class ToldSetPoints:
         """Say whether a coordinate is the derivative of the one before."""
         return k < self.r and k not in (0, *accumulate(self.degrees))
 
-    def moved(self, rows: Ball) -> Ball:
-        """Return rows on (xi, eta, y^(r), 1) as ones on (v, z, 1)."""
-        return rows @ self.shift
-
     def driving(self, i: int) -> Ball:
         """Return z' in a cell on (v, z, 1): eta' less M xi'."""
         ends, width = [*accumulate(self.degrees)], self.r + self.p + self.q + 1
         places = [self.r + ends.index(k) if k in ends else k for k in range(1, self.r + 1)]
-        return self.moved(self.cells[i][1]) - Ball(self.M) @ stacked(*(unit(width, k).T for k in places))
+        return self.cells[i][1] @ self.shift - Ball(self.M) @ stacked(*(unit(width, k).T for k in places))
 
 
 def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
@@ -95,8 +91,6 @@ def dot(one: list[Fraction], other: list[Fraction]) -> Fraction:
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the intervals of the inputs for all set-points, and what they claim."""
     content = whole["set_points"]
-    if content is None:
-        return [], []
     kept = ToldSetPoints(content, loop.plant, whole["generator"])
     faults = list[str]()
     for k in kept.open:
@@ -112,7 +106,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
 def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction], list[str]]:
     """Return what all rows of z are at most, by the ellipsoids of what drives it; and what is wrong with these."""
     faults, width = list[str](), len(kept.widths)
-    inside = kept.moved(kept.cells[cell][2])
+    inside = kept.cells[cell][2] @ kept.shift
     if any(low[-1] < 0 for low in added_or(inside.centre, times(inside.radius, -1))):
         faults.append("the middle is not in its cell")
     rates = [kept.driving(i) for i in range(len(kept.cells))]
@@ -125,8 +119,7 @@ def bounded(kept: ToldSetPoints, parts: Any, cell: int) -> tuple[list[Fraction],
         each = [number(v) for v in part["sizes"]]
         if len(each) != len(kept.forms):
             raise AuditFault("an ellipsoid has not a size for each row")
-        if not stays([ball for _, ball in unlike(M)], column, part, start=name == "start"):
-            faults.append("an ellipsoid of internal states can be left")
+        faults += leaving([ball for _, ball in unlike(M)], column, part, start=name == "start")
         Q, _ = packed(part["Q"])
         for line, most in zip(kept.forms, each, strict=True):
             if beyond(Ball([line]), Q, most):
@@ -153,15 +146,6 @@ def drives(kept: ToldSetPoints, rates: list[Ball], cell: int) -> Any:
         yield "start", 0, Ball([[v] for v in z]), Fraction(1)
 
 
-def stays(matrices: list[Ball], column: Ball, part: Any, *, start: bool) -> bool:
-    """Decide whether z from 0 on, driven by a column of at most 1, or from that column on, stays in an ellipsoid."""
-    (Q, powers), rate = packed(part["Q"]), number(part["a"])
-    if rate <= 0 or not definite(Q) or (start and not definite(added(Q, squared(column)[0], -1))):
-        return False
-    push = () if start else squared(column, 1 / rate)
-    return all(falls(X, Q, powers, *push, rate=rate / 2) for X in matrices)
-
-
 def intervals(kept: ToldSetPoints, content: Any, sizes: list[Fraction]) -> list[str]:
     """Return what is wrong with the intervals: multipliers say how far u_ff goes in each cell."""
     widths, faults = [*kept.widths, *sizes[: kept.q]], list[str]()
@@ -172,7 +156,7 @@ def intervals(kept: ToldSetPoints, content: Any, sizes: list[Fraction]) -> list[
     beside = zero(len(forms.centre), len(kept.widths))
     slabs = [sides(beside, side, limits) for side in (forms, -forms)]
     for (u_ff, _, inside), told in zip(kept.cells, content["cells"], strict=True):
-        bounds, here = stacked(kept.moved(inside), *slabs), kept.moved(u_ff)
+        bounds, here = stacked(inside @ kept.shift, *slabs), u_ff @ kept.shift
         if "not_reached" in told:
             if largest(zero(1, len(widths) + 1), told["not_reached"], bounds, widths) >= 0:
                 faults.append("a cell that is said not to be reached may be")

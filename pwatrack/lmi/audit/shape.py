@@ -10,7 +10,11 @@ from .matrices import AuditFault
 from .reading import number
 
 TEXT, NUMBER, WHOLE, DIGEST = "text on one line", "number", "whole number", "digest of 64 hexadecimal digits"
-HEX = {*"0123456789abcdef"}
+LEAVES = {
+    TEXT: lambda value: type(value) is str and value.isprintable(),
+    WHOLE: lambda value: type(value) is int and abs(value) <= 10**9,
+    DIGEST: lambda value: type(value) is str and len(value) == 64 and {*value} <= {*"0123456789abcdef"},
+}
 Shape = dict[str, Any]
 
 
@@ -59,14 +63,11 @@ def fit(value: Any, shape: Any, place: str) -> None:
         found = value.keys() if isinstance(value, dict) else set[str]()
         nearest = {len(found ^ one.keys()) if isinstance(one, dict) else 0: one for one in shape[::-1] if one}
         shape = nearest[min(nearest)]
-    if isinstance(shape, str):
-        fits = type(value) is {TEXT: str, DIGEST: str, WHOLE: int}.get(shape, type(value))
-        if not fits or (shape == TEXT and not value.isprintable()) or (shape == WHOLE and abs(value) > 10**9):
+    if shape == NUMBER:
+        number(value)
+    elif isinstance(shape, str):
+        if not LEAVES[shape](value):
             raise AuditFault(f"{place} is no {shape}")
-        if shape == DIGEST and (len(value) != 64 or not {*value} <= HEX):
-            raise AuditFault(f"{place} is no {shape}")
-        if shape == NUMBER:
-            number(value)
     elif type(value) is not type(shape):
         raise AuditFault(f"{place} is {'no list' if isinstance(shape, list) else 'no object'}")
     elif isinstance(shape, list):

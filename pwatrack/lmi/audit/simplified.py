@@ -105,8 +105,6 @@ class Deviations(Loop):
 def decided(of_design: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with a split of the true field and with its bounds, and what they claim."""
     content = whole["practical"]
-    if content is None:
-        return [], []
     loop = Deviations(of_design.plant, content, of_design.K, of_design.L, of_design.X)
     tracked = whole["tracking"]  # what goes with the reference: "output" or "state"
     faults = [f"true plant: {fault}" for fault in loop.true.faults()]

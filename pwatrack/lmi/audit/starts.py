@@ -21,7 +21,7 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     found = whole["limits"]
     faults = [f"starts {k}: {fault}" for k, entry in enumerate(found, 1) for fault in near(loop, entry)]
     starts = amount(len(found), "box of starts", "boxes of starts")
-    return faults, [f"the bounds of signals with limits from {starts} are proved"] if found else []
+    return faults, [f"the bounds of signals with limits from {starts} are proved"]
 
 
 def near(loop: Loop, entry: Any) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from .balls import Ball, outermost, sides, stacked, unlike, within, zero
 from .bounds import Loop
-from .boxes import AuditedBox, boxes, differences, factors, spread
+from .boxes import AuditedBox, boxes, differences
 from .estimates import DIGITS, Estimates, short
 from .matrices import AuditFault, Matrix, identity
 from .plant import AuditedPlant
@@ -47,10 +47,9 @@ class AuditedErrors:
             self.estimates = Estimates(plant, loop.X, loop.generator)
         self.K, self.M, self.R = (Ball(matrix(content[name])) for name in ("K", "M", "rows"))
         self.n, self.m, self.N = len(plant.B[0]), len(plant.B[0][0]), len(plant.seen_A[0][0])
-        sizes_ = {"K": (self.K, self.m, self.n), "M": (self.M, self.N, len(plant.C[0]))}
         self.E = Ball(matrix(content["E"] or [["0"] * self.m] * self.N))
-        sizes_["E"] = (self.E, self.N, self.m)
-        for name, ((X, _), rows, columns) in sizes_.items():
+        shapes = (self.K, self.m, self.n), (self.M, self.N, len(plant.C[0])), (self.E, self.N, self.m)
+        for name, ((X, _), rows, columns) in zip("KME", shapes, strict=True):
             if len(X) != rows or any(len(row) != columns for row in X):
                 raise AuditFault(f"{name} of the sampled loop does not fit the plant")
         if len(self.R[0]) > self.n or any(len(row) != self.n for row in self.R[0]):
@@ -112,31 +111,31 @@ class AuditedErrors:
         return reduce(Ball.__add__, self.cells).times(Fraction(1, len(self.cells)))
 
     @cached_property
-    def flows(self) -> list[tuple[Ball, Matrix, Matrix]]:
-        """What they obey between ticks, for all cells of x, of each x_hat and its prediction: F, U and V of boxes."""
+    def flows(self) -> list[AuditedBox]:
+        """What they obey between ticks, for all cells of x, of each x_hat and its prediction."""
         read = self.read or [AuditedBox(zero(self.n, 0), [])]
         free = [boxes(self.driven()), *[boxes(self.own), read] * self.predicted]
         if len(self.paces) * prod(map(len, free)) > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
-        found, nothing = list[tuple[Ball, Matrix, Matrix]](), [box.middle.times(Fraction(0)) for box, *_ in free]
+        found, nothing = list[AuditedBox](), [box.middle.times(Fraction(0)) for box, *_ in free]
         for pace, chosen in product(self.paces, product(*free)):
             edges = list[Matrix]()
             for k, box in enumerate(chosen):
                 alone = ([*nothing[:k], Ball(D), *nothing[k + 1 :]] for D in box.edges)
                 edges += [self.flow(pace, parts, Fraction(0)).centre for parts in alone]
-            found.append((self.flow(pace, [box.middle for box in chosen], Fraction(1)), *factors(edges)))
+            found.append(AuditedBox(self.flow(pace, [box.middle for box in chosen], Fraction(1)), edges))
         return found
 
-    def opened(self, edges: int) -> list[tuple[Ball, Matrix, Matrix]]:
+    def opened(self, edges: int) -> list[AuditedBox]:
         """Return the boxes of flows, which have so many edges, or all corners of them if that is none."""
-        return self.flows if edges or not self.flows[0][2] else self.corners_of_flows
+        return self.flows if edges or not self.flows[0].edges else self.corners_of_flows
 
     @cached_property
-    def corners_of_flows(self) -> list[tuple[Ball, Matrix, Matrix]]:
+    def corners_of_flows(self) -> list[AuditedBox]:
         """All corners of the boxes of flows, each alone."""
-        if len(self.flows) * 2 ** len(self.flows[0][2]) > MOST_FLOWS:
+        if len(self.flows) * 2 ** len(self.flows[0].edges) > MOST_FLOWS:
             raise AuditFault("the flows of the sampled loop are too many")
-        return [(F, [], []) for _, F in unlike([F for flow in self.flows for F in spread(*flow)])]
+        return [AuditedBox(F, []) for _, F in unlike([F for box in self.flows for F in box.corners])]
 
     def flow(self, pace: Fraction, parts: list[Ball], loads: Fraction) -> Ball:
         """Return F of the rows of d, twice, then of A_j and G of each prediction; it is linear in all."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from .balls import Ball, beyond, falls, less_square, sides, stacked, unit, unlike, zero
 from .bounds import CHANNEL, SIGNALS, Loop
-from .boxes import spread, squares
+from .boxes import AuditedBox, squares
 from .clocked import Knot, predicted, runs_of, shrinks
 from .matrices import AuditFault, Matrix, added, definite, identity, inverted, product, times, transposed
 from .reading import distinct, number, place
@@ -23,8 +23,6 @@ SHAPE = {"sampled_bounds": TUBES}
 def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     """Return what is wrong with the tubes, and what they claim."""
     found = whole["sampled_bounds"]
-    if not found:
-        return [], []
     if whole["sampled"] is None:
         raise AuditFault("there are bounds of a sampled loop, and none is proved")
     merged = [] if whole["practical"] is None else whole["practical"]["merged"]
@@ -82,7 +80,8 @@ class Tubes:
         if not all(shrinks(errors.substep.T, before[-1][:2], after[0][:2]) for before, after in pairwise(runs)):
             faults.append("the end of a substep leaves its tube")
         flows = errors.flows if summed and not ticks else []
-        pushing = unlike([F @ held + between for box in flows for F in seen(*box, held)])
+        seen = [AuditedBox(F, [D for D in edges if any(map(any, product(D, held.centre)))]) for F, edges in flows]
+        pushing = unlike([F @ held + between for box in seen for F in box.corners])
         if not all(definite(less_square(*Q, g)) for _, g in pushing for Q in forms):
             faults.append("what is summed leaves its tube")
         for run in runs:
@@ -98,7 +97,8 @@ class Tubes:
     def inside(self, knot: Knot, fall: Matrix, a: Fraction, summed: bool, held: Ball, between: Ball) -> bool:
         """Decide that a tube that falls by so much is not left, with Q and T as they are at a knot."""
         Q, powers, T = knot
-        for F, U, V in self.errors.opened(len(T)):
+        for box in self.errors.opened(len(T)):
+            F, (U, V) = box.middle, box.factors
             VQ = product(V, Q) if T else []
             rest = added(fall, squares(U, VQ, [1 / t for t in T])) if T else fall
             open_: Matrix = []
@@ -193,9 +193,3 @@ class Tubes:
         if kind == "output":
             return sides(tracked.row(k), zero(1, self.errors.order - n))
         return unit(self.errors.order, {"state": 0, "input": n, "estimate": n + m}[kind] + k).T
-
-
-def seen(F: Ball, U: Matrix, V: Matrix, held: Ball) -> list[Ball]:
-    """Return the corners of a box, but for the edges that do not act on what d is beside."""
-    acting = [k for k, row in enumerate(product(V, held.centre) if V else []) if any(row)]
-    return spread(F, [[u[k] for k in acting] for u in U], [V[k] for k in acting])
