@@ -160,9 +160,9 @@ def gallery() -> Iterator[Peaked]:
 def _case(source: Path | Mapping[str, Any], start: Array | None) -> Iterator[Peaked]:
     try:
         spec = load_spec(source)
-        trajectory, generator = desired_trajectory(spec, True)
-        if start is None and generator is not None and trajectory.names:
-            start = generator_start(spec, trajectory, generator)
+        trajectory = desired_trajectory(spec, True)
+        if start is None and trajectory.generator is not None and trajectory.names:
+            start = generator_start(spec, trajectory)
     except PwatrackError:
         return
     start = trajectory.eta0 if start is None else start

@@ -84,11 +84,11 @@ def rows(X: Array) -> str:
 def solved(path: Path) -> tuple[float, float]:
     """Return the residual of (15) that is told, and that of (3) at other times, relative to their largest terms."""
     spec = load_spec(path)
-    trajectory, generator = desired_trajectory(spec, True)
+    trajectory = desired_trajectory(spec, True)
     preview = trajectory.preview
     assert preview is not None
-    assert generator is not None
-    plant, system = generator.form.plant, trajectory.exosystem
+    assert trajectory.generator is not None
+    plant, system = trajectory.generator.form.plant, trajectory.exosystem
     t = np.random.default_rng(0).uniform(0, spec.scenario.duration, 500)
     w = system.states(t)
     s = np.hstack([w, np.ones((len(t), 1))])

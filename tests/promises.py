@@ -47,7 +47,6 @@ def track(plant: PWASystem, y_d: str, K: Array | None = None, L: Array | None = 
         running=plant,
         design=gains,
         trajectory=trajectory,
-        generator=generator,
         proofs=proofs,
         sizes=Sizes.of(plant),
     )
@@ -80,7 +79,6 @@ def followed(plant: PWASystem, seed: int, duration: float | None = None) -> tupl
             running=form.plant,
             design=gains,
             trajectory=trajectory,
-            generator=generator,
             proofs=proofs,
             sizes=sizes,
         )

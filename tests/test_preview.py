@@ -537,7 +537,7 @@ def test_a_residual_is_enclosed_at_all_times(tmp_path: Path) -> None:
     path = tmp_path / "plant.yaml"
     path.write_text(PRESSED, encoding="utf-8")
     spec = load_spec(path)
-    trajectory, _ = desired_trajectory(spec, True)
+    trajectory = desired_trajectory(spec, True)
     preview, system = trajectory.preview, trajectory.exosystem
     assert preview is not None
     assert trajectory.turns is not None
@@ -555,7 +555,7 @@ def test_a_residual_is_enclosed_at_all_times(tmp_path: Path) -> None:
 def test_a_constant_reference_is_played_back_as_a_constant() -> None:
     arrays = plant(A=[[0, 1], [-1, 1]], B=[[1], [0]], C=[[1, 0]])
     spec = problem(arrays, reference="0.7", simulation={"duration": 1000, "sample_time": 1})
-    trajectory, _ = desired_trajectory(spec, True)
+    trajectory = desired_trajectory(spec, True)
     system = trajectory.exosystem
     np.testing.assert_allclose(system.states(np.array([0.0, 1000.0]))[:, -10:] @ system.Q[-1, -10:], 0.7, rtol=1e-12)
 

@@ -309,9 +309,9 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     again = AuditedErrors(told, Loop(AuditedPlant(content["plant"]), [], [], None))
     system = errors.clocked
     assert system.between is not None
-    flows, factors = zip(*((box.middle, box.factors) for box in again.opened(errors.edges)), strict=True)
+    flows, factors = zip(*((box.middle, box.factors) for box in again.opened(errors.flows[1])), strict=True)
     U, V = zip(*factors, strict=True)
-    assert (len(flows), len(V[0])) == (errors.flows, errors.edges)
+    assert (len(flows), len(V[0])) == errors.flows
     pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
     for own, audited in (*pairs, (system.U, map(Ball, U)), (system.V, map(Ball, V))):
         texts = [tuple(tuple(map(Fraction, row)) for row in X.texts) for X in own]

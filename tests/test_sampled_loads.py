@@ -404,7 +404,7 @@ def test_the_auditor_makes_the_same_matrices_from_the_file(
     again, errors = AuditedErrors(told, Loop(plant, [], [], X, generator)), errors_of(controller, gains)
     system = errors.clocked
     assert system.between is not None
-    flows, factors = zip(*((box.middle, box.factors) for box in again.opened(errors.edges)), strict=True)
+    flows, factors = zip(*((box.middle, box.factors) for box in again.opened(errors.flows[1])), strict=True)
     U, V = zip(*factors, strict=True)
     pairs = (system.F, flows), (system.J, again.ticks), ([system.between], [again.substep])
     for own, audited in (*pairs, (system.U, [Ball(X) for X in U if X]), (system.V, [Ball(X) for X in V if X])):

@@ -219,7 +219,6 @@ def loop_of(plant: PWASystem, y_d: str) -> ClosedLoop:
             running=plant,
             design=synthesize(plant),
             trajectory=trajectory,
-            generator=generator,
             proofs=(),
             sizes=Sizes.of(plant),
         )

@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import place_poles
 
 from pwatrack import load_spec, simulate
-from pwatrack.control import trajectory
 from pwatrack.control.trajectory import timing_error
 from pwatrack.errors import InvalidSpec
+from pwatrack.workflow import tracking
 
 CHAIN = """
 name: chain of integrators
@@ -44,7 +44,7 @@ def chain(folder: Path, r: int, size: float, at: float, smooth: float) -> Path:
 def test_the_estimated_error_is_that_of_a_simulation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, r: int, size: float, at: float, smooth: float
 ) -> None:
-    monkeypatch.setattr(trajectory, "ALLOWED", np.inf)
+    monkeypatch.setattr(tracking, "ALLOWED", np.inf)
     result = simulate(load_spec(chain(tmp_path, r, size, at, smooth)))
     controller, plant = result.controller, result.spec.problem.plant
     estimate, time = timing_error(plant, controller.design.K, controller.trajectory, outputs=plant.C)

@@ -90,7 +90,7 @@ def written(folder: Path, text: str, **entries: str) -> Path:
 
 
 def limited(spec: Spec) -> tuple[Headroom, Peak]:
-    found = room_within_limits(spec, *desired_trajectory(spec, False), spec_sizes(spec))
+    found = room_within_limits(spec, desired_trajectory(spec, False), spec_sizes(spec))
     assert found is not None
     assert found.peak is not None
     return found, found.peak

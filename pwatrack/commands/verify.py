@@ -94,12 +94,13 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
     true = spec.problem.plant
     spec = _merged_as_told(spec, content)
     form = output_form(spec, content["generator"]["directions"]) if content["generator"] else None
-    trajectory, generator = desired_trajectory(spec, True, form)
+    trajectory = desired_trajectory(spec, True, form)
+    generator = trajectory.generator
     plant = spec.problem.plant if generator is None else generator.form.plant
     proofs = read_proofs(content)
     for proof in proofs:
         if isinstance(proof, Dichotomy) and generator is not None:
-            generator = replace(generator, certificate=proof)
+            trajectory = replace(trajectory, generator=replace(generator, certificate=proof))
     K, L = (doubles(content[name]) for name in ("K", "L"))
     cheaper = None if (least := content.get("K_of_least_cost")) is None else doubles(least)
     controller = ProvedController(
@@ -107,7 +108,6 @@ def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
         running=plant if content["practical"] is None else true,
         design=Gains(K=K, L=L, controller=_NOT_TOLD, observer=_NOT_TOLD, cheaper=cheaper),
         trajectory=trajectory,
-        generator=generator,
         proofs=tuple(proof for proof in proofs if not isinstance(proof, Dichotomy)),
         sizes=spec_sizes(spec),
     )

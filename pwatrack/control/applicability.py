@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ class Applicability:
 
     plant: PWASystem  # the system (1); that it is one has been proved
     form: NormalForm | None  # its normal form (11), or None
-    refusal: OutsideTheory | None  # why there is no normal form, else None
+    refusal: str  # why there is no normal form, else ""
     stuck: str  # why (8) or (9) have no solution, where the modes of single cells decide that; else ""
     tracking: Tracking  # what was asked for
     asked: bool = False  # whether practical tracking is asked for, after any refusal of the theory
@@ -54,7 +54,7 @@ class Applicability:
     @property
     def open(self) -> "list[Route]":
         """Those that `design` may take: nothing rules them out before an inequality is solved."""
-        return [route for route, answer in self.answers if self.tracking in route.takes and not isinstance(answer, No)]
+        return [route for route, answer in self.answers if self.tracking in route.takes and answer.word != "no"]
 
     @property
     def taken(self) -> str:
@@ -66,32 +66,20 @@ class Applicability:
 class Answer:
     """What can be said of a route."""
 
-    word: ClassVar[str]
+    # "yes": it can be gone, whatever an inequality says. "no": it cannot, and why. "needs": it can if some
+    # inequalities, the reason, have a solution, which is not tried here.
+    word: Literal["yes", "no", "needs"]
     reason: str = ""
     remark: str = ""
 
     @property
     def text(self) -> str:
         """In words."""
-        return f"{self.word}{self.reason}{self.remark and '; '}{self.remark}"
+        between = {"yes": "", "no": ": ", "needs": " "}[self.word]
+        return f"{self.word}{between}{self.reason}{self.remark and '; '}{self.remark}"
 
 
-class Yes(Answer):
-    """It can be gone, whatever an inequality says."""
-
-    word = "yes"
-
-
-class No(Answer):
-    """It cannot be gone, and why."""
-
-    word = "no: "
-
-
-class Needs(Answer):
-    """It can be gone if some inequalities, the reason, have a solution, which is not tried here."""
-
-    word = "needs "
+_no, _needs = partial(Answer, "no"), partial(Answer, "needs")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +91,7 @@ class Route:
     judge: Callable[[Applicability], Answer]  # what can be said of it
 
 
-def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, otherwise: str) -> Answer:
+def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Answer, otherwise: str) -> Answer:
     """Return `then` if all eigenvalues (l, k) are in the left half plane, else no, with the worst one and its cell."""
     abscissa = eigenvalues.real.max(axis=1, initial=-np.inf)
     worst = int(np.argmax(abscissa))
@@ -111,7 +99,7 @@ def _stable(plant: PWASystem, eigenvalues: NDArray[np.complex128], then: Needs, 
         return then
     is_rounding = _sides(eigenvalues[worst]).max() == 0
     size = "0 to rounding" if is_rounding else number_text(abscissa[worst], "+.4g")
-    return No(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")
+    return _no(f"{otherwise}: an eigenvalue has real part {size} in cell '{plant.cell_names[worst]}'")
 
 
 def _sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
@@ -123,98 +111,92 @@ def _sides(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
 
 def _alone(facts: Applicability) -> Answer:
     if len(facts.plant.A) == 1 and is_hurwitz(facts.plant.exact.A[0].centre):
-        return Yes(remark="its one cell is stable")
+        return Answer("yes", remark="its one cell is stable")
     eigenvalues = np.linalg.eigvals(facts.plant.A).astype(complex)
-    then = Needs("(7)", "every cell by itself is stable")
+    then = _needs("(7)", "every cell by itself is stable")
     return _stable(facts.plant, eigenvalues, then, "the plant does not converge by itself")
 
 
 def _state(facts: Applicability) -> Answer:
-    return No(facts.stuck) if facts.stuck else Needs("(8) and (9), and an x_d that satisfies (3)")
+    return _no(facts.stuck) if facts.stuck else _needs("(8) and (9), and an x_d that satisfies (3)")
 
 
-def _theorem_3(facts: Applicability) -> Answer:
+def _smooth(facts: Applicability, *, several: bool) -> Answer:
     m, p = facts.plant.B.shape[1], len(facts.plant.tracked)
-    if facts.form is not None and (m > 1 or p > 1):
-        return No(f"it is about one input and one output, the plant has {m} and tracks {p}")
-    return _output(facts, kinked=False)
-
-
-def _several(facts: Applicability) -> Answer:
-    if facts.plant.B.shape[1] == 1 and len(facts.plant.tracked) == 1:
-        return No("there is one input and one tracked output")
+    if several and m == p == 1:
+        return _no("there is one input and one tracked output")
+    if not several and facts.form is not None and (m > 1 or p > 1):
+        return _no(f"it is about one input and one output, the plant has {m} and tracks {p}")
     return _output(facts, kinked=False)
 
 
 def _output(facts: Applicability, *, kinked: bool) -> Answer:
     """Judge output tracking with last derivatives that depend on the cell, or with none that does."""
     if facts.form is None:
-        assert facts.refusal is not None
-        return No(facts.refusal.problems[0].message)
+        return _no(facts.refusal)
     names = zip(facts.plant.tracked_names, facts.form.piecewise, strict=True)
     bent = [name for name, piecewise in names if piecewise]
     if kinked and not bent:
-        return No("no last derivative is another form of the state in other cells")
+        return _no("no last derivative is another form of the state in other cells")
     if bent and not kinked:
-        return No(f"the last derivative of {', '.join(bent)} is another form of the state in other cells")
+        return _no(f"the last derivative of {', '.join(bent)} is another form of the state in other cells")
     if facts.stuck:
-        return No(facts.stuck)
+        return _no(facts.stuck)
     assert facts.zero_dynamics is not None
     if not facts.zero_dynamics.shape[1]:
-        return Needs("(8) and (9)", "there are no zero dynamics")
-    then = Needs("(8), (9) and (17)", "every cell by itself is minimum phase")
+        return _needs("(8) and (9)", "there are no zero dynamics")
+    then = _needs("(8), (9) and (17)", "every cell by itself is minimum phase")
     return _stable(facts.plant, facts.zero_dynamics, then, "the zero dynamics do not converge")
 
 
 def _preview(facts: Applicability) -> Answer:
     """Judge whether x_d can be worked out beforehand: see `lmi.dichotomy`."""
     if facts.form is None:
-        assert facts.refusal is not None
-        return No(facts.refusal.problems[0].message)
+        return _no(facts.refusal)
     if facts.stuck:
-        return No(facts.stuck)
+        return _no(facts.stuck)
     assert facts.zero_dynamics is not None
     side, names = _sides(facts.zero_dynamics), facts.plant.cell_names
     still = (side == 0).any(axis=1)
     if still.any():
         where = names[int(still.argmax())]
-        return No(f"an eigenvalue of the zero dynamics has real part 0 to rounding in cell '{where}'")
+        return _no(f"an eigenvalue of the zero dynamics has real part 0 to rounding in cell '{where}'")
     unstable = (side > 0).sum(axis=1)
     few, many = int(unstable.argmin()), int(unstable.argmax())
     if not unstable[many]:
-        return No("no mode of the zero dynamics is unstable")
+        return _no("no mode of the zero dynamics is unstable")
     if not facts.known:
-        return No("the reference is not known beforehand: preview is none")
+        return _no("the reference is not known beforehand: preview is none")
     if unstable[few] != unstable[many]:
-        return No(
+        return _no(
             f"cell '{names[few]}' has {unstable[few]} unstable modes of the zero dynamics, '{names[many]}' has "
             f"{unstable[many]}"
         )
-    return Needs("(8), (9) and (17±), and a reference known beforehand", "all cells have as many unstable modes")
+    return _needs("(8), (9) and (17±), and a reference known beforehand", "all cells have as many unstable modes")
 
 
 def _practical(facts: Applicability) -> Answer:
     """Judge whether merging cells leaves a plant that can be tracked exactly: see `claims.practical`."""
     if facts.uncertain:
-        return No("its bounds are not proved with uncertain parameters")
+        return _no("its bounds are not proved with uncertain parameters")
     if facts.merged is None:
-        return No("no scalar nonlinearity has two corners that could become one or none")
+        return _no("no scalar nonlinearity has two corners that could become one or none")
     if facts.tracking == "output" and facts.form is None and not facts.asked:
-        return No("it is not asked for, and by itself it is tried only where an inequality is proved impossible")
+        return _no("it is not asked for, and by itself it is tried only where an inequality is proved impossible")
     form = facts.merged.form
     bent = form is not None and any(form.piecewise)
     exact = _state(facts.merged) if facts.tracking == "state" else _output(facts.merged, kinked=bent)
-    if isinstance(exact, No):
-        return No(f"with all cells merged that can be: {exact.reason}")
-    return Needs(f"{exact.reason}, with cells merged", "errors end below a bound")
+    if exact.word == "no":
+        return _no(f"with all cells merged that can be: {exact.reason}")
+    return _needs(f"{exact.reason}, with cells merged", "errors end below a bound")
 
 
 PRACTICAL = Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"}))
 ROUTES: tuple[Route, ...] = (
     Route(name="Theorem 1", judge=_alone),
     Route(name="Theorem 2", judge=_state, takes=frozenset({"state"})),
-    Route(name="Theorem 3", judge=_theorem_3, takes=_OUTPUT),
-    Route(name="several outputs", judge=_several, takes=_OUTPUT),
+    Route(name="Theorem 3", judge=partial(_smooth, several=False), takes=_OUTPUT),
+    Route(name="several outputs", judge=partial(_smooth, several=True), takes=_OUTPUT),
     Route(name="kinked derivative", judge=partial(_output, kinked=True), takes=_OUTPUT),
     Route(name="preview", judge=_preview, takes=_OUTPUT),
     PRACTICAL,
@@ -246,7 +228,7 @@ def applicability(
 
 
 def _facts(plant: PWASystem, sizes: Sizes, tracking: Tracking) -> Applicability:
-    stuck, form, refusal = "", None, None
+    stuck, form, refusal = "", None, ""
     try:
         check_modes(plant, DEFAULT, DEFAULT, sizes)
     except PwatrackError as error:
@@ -254,5 +236,5 @@ def _facts(plant: PWASystem, sizes: Sizes, tracking: Tracking) -> Applicability:
     try:
         form = normal_form(plant, input_sizes=sizes.input)
     except OutsideTheory as error:
-        refusal = error
+        refusal = error.problems[0].message
     return Applicability(plant=plant, form=form, refusal=refusal, stuck=stuck, tracking=tracking)

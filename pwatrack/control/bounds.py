@@ -1,18 +1,12 @@
 """What a disturbance, the noise of a sensor or a start can do to each signal: bounds in the signal's own unit.
 
-The loop is (e, Δ)' = M (e, Δ) + g d for e = x − x_d and Δ = x̂ − x, with M in the hull of the M_ij of pairs of cells,
-g = (ε_k, −ε_k) for d added to the k-th state equation and g = (0, −L ε_k) for the k-th measured output. An ellipsoid of
-it, or its peak gain where all cells have one matrix, bounds linear forms of (e, Δ): c e for a tracked row c,
-K (e + Δ) = u − u_ff, Δ. Bounds of all that acts, and of all entries of a start, add up: it is proved in
-`docs/theory/beyond.md`, *Bounds, one signal at a time*.
+The loop is (e, Δ)' = M (e, Δ) + g d for e = x − x_d and Δ = x̂ − x, with M in the hull of the M_ij of pairs of cells.
+An ellipsoid of it, or its peak gain where all cells have one matrix, bounds linear forms of (e, Δ). Bounds of all that
+acts, and of all entries of a start, add up: it is proved in `docs/theory/beyond.md`, *Bounds, one signal at a time*.
+Where there are too many pairs i, j the same is done in two steps, which gives larger bounds: Δ by itself, then e.
 
 Where loads are estimated, Δ has the errors of their estimates below x̂ − x, A_j and C are those of plant and loads
-together, and what drives e instead of B K is their coupling (see `compensation`), by which noise reaches e too:
-g = (X L_s ε_k, −L ε_k).
-
-Where there are too many pairs i, j the same is done in two steps, which gives larger bounds: Δ by itself, with M =
-A_j + L C; then e, with M = A_i + B K, driven by d and by each input's K Δ, which the first step bounds; with loads by
-each entry of the coupling, which acts like a disturbance of that state equation.
+together, and what drives e instead of B K is their coupling (see `compensation`), by which noise reaches e too.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

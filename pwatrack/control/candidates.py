@@ -39,16 +39,11 @@ class Candidate:
 
 
 class Candidates:
-    """Ways to look for a gain.
-
-    Attributes:
-        task: The inequality.
-        A: The corners of the convex hull of its cells, (l, n, n).
-        at: Sizes, in which the weights of a cost are one.
-    """
+    """Ways to look for a gain."""
 
     def __init__(self, task: Task) -> None:
-        self.task, self.A = task, extreme(task.A)
+        self.task, self.A = task, extreme(task.A)  # the corners of the convex hull of its cells, (l, n, n)
+        # sizes, in which the weights of a cost are one
         self.at = Coordinates.sized(task.A, task.scale.state, task.scale.input, tempo=task.scale.speed)
 
     def regulator(self, rate: float) -> Iterator[Candidate]:
@@ -56,12 +51,12 @@ class Candidates:
         A, B = self.at.system(self.A) + self._shift(rate, FASTER), self.at.input(self.task.B)
         for root in _state_weights(A.mean(axis=0), B):
             rows, R = root @ self.at.inverse, np.eye(B.shape[1])
-            yield from self._least_cost(rows, R, self.at.T, self._shift(rate, FASTER))
+            yield from self._least_cost(rows, R, self._shift(rate, FASTER))
 
     def least_cost(self, Q: Array, R: Array) -> Iterator[Candidate]:
         """Yield the gain of the least sum of the costs from all states off by one size; Q, R in the units given."""
         rows, e = root_of(self.at.weights(Q)) @ self.at.inverse, self.at.e
-        yield from self._least_cost(rows, e[:, None] * R * e, self.at.T, np.zeros_like(Q))
+        yield from self._least_cost(rows, e[:, None] * R * e, np.zeros_like(Q))
 
     def least_worst_cost(self, within: InputConstraint, rate: float) -> Iterator[Candidate]:
         """Yield the gain of the least worst cost from starts, among those with which limits do no harm, if any.
@@ -155,13 +150,13 @@ class Candidates:
             program = smaller_gain(inequality, metric_root, input_root, (solution.P, solution.Y), first)
             first = first or (solution.P, solution.Y)
 
-    def _least_cost(self, rows: Array, R: Array, initial: Array, shift: Array) -> Iterator[Candidate]:
-        """Yield the gain that minimises the cost of the rows (k, n) of x, summed over initial states (n, n), if any."""
+    def _least_cost(self, rows: Array, R: Array, shift: Array) -> Iterator[Candidate]:
+        """Yield the gain that minimises the cost of the rows (k, n) of x, summed over all states off by one size."""
         A, B = self.at.system(self.A) + shift, self.at.input(self.task.B)
         root = self.at.rows(rows)
         pair = Pair.of(A) if len(B) >= MANY_STATES else None
         if pair is not None:
-            X = pair.regulator(B, root.T @ root, R, self.at.states(initial))
+            X = pair.regulator(B, root.T @ root, R, self.at.states(self.at.T))
             if X is not None:
                 K = self.at.gain(-np.asarray(np.linalg.solve(R, B.T @ X), dtype=np.float64))
                 yield Candidate(K=short(K), P=self.at.matrix(np.asarray(np.linalg.inv(X), dtype=np.float64)))
@@ -169,7 +164,7 @@ class Candidates:
         at = self.at.of_regulator(A, B, root.T @ root, R)
         B = at.input(self.task.B)
         inequality = quadratic_cost(at.system(self.A) + shift, B, at.rows(rows), R)
-        solution = solve(least_cost(inequality, at.states(initial)))
+        solution = solve(least_cost(inequality, at.states(self.at.T)))
         if solution is not None:
             yield self._candidate(at, replace(solution, Y=-np.asarray(np.linalg.solve(R, B.T))))
 
@@ -201,9 +196,8 @@ def short(K: Array, digits: int = DIGITS) -> Array:
 def _state_weights(A: Array, B: Array) -> Iterator[Array]:
     """Yield roots of the weights Q of the quadratic cost, in the order in which they are tried.
 
-    First multiples of I. Then multiples of the inverse of the controllability
-    Gramian of the damped mean cell, which do not depend on the choice of states:
-    x' Q x is the effort it takes to get to x.
+    First multiples of I. Then of the inverse of the controllability Gramian of the damped mean cell: x' Q x is the
+    effort it takes to get to x, whatever the choice of states.
     """
     eye = np.eye(len(A))
     yield from (np.sqrt(weight) * eye for weight in _STATE_WEIGHTS)

@@ -6,9 +6,8 @@ of D_i) W_i[last] ŝ and η̂' + W_i[η] ŝ. Then e = x − x_d and σ = ŝ − 
 
     e' = (Â + B K) e + [B K − X L_s C, −E] (Δ, σ).
 
-It is derived in `docs/theory/beyond.md`, *Unknown loads*. X is to be the same in all cells, as it is unless a last
-derivative is piecewise affine. For state tracking x_d is given: loads must be matched then (E = B U), X = 0 and u_ff −
-U ŝ. Where η is worked out beforehand, η + H ŝ is played in its place, and G = [g; −H] in all of this.
+It is derived in `docs/theory/beyond.md`, *Unknown loads*. For state tracking x_d is given: loads must be matched then
+(E = B U), X = 0 and u_ff − U ŝ. Where η is worked out beforehand, η + H ŝ is played in its place, and G = [g; −H].
 """
 
 from dataclasses import dataclass
@@ -62,7 +61,15 @@ def compensation(
         G = above(G.part(range(form.r), range(p)), BallMatrix(-resting(loads, form)))
     shifts = different(each(lambda inverse: nothing - inverse @ G, form.exact.inverse))
     if len(shifts) > 1:
-        raise _bent(form, G)
+        ends = dict(zip(form.plant.tracked_names, np.cumsum(form.degrees) - 1, strict=True))
+        bent = [name for name, piecewise in zip(ends, form.piecewise, strict=True) if piecewise]
+        moved = [name for name in bent if G.floats[ends[name]].any()]
+        raise OutsideTheory(
+            f"unknown loads {', '.join(loads.names)} move the last derivative of '{(moved or bent)[0]}' before "
+            "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
+            subject=(ProblemPart.ESTIMATE,),
+            hint="estimate loads that enter where inputs do",
+        )
     X = shifts[0]
     W = np.array([(T_i @ (A_i @ X + loads.E) + G @ loads.S).floats for T_i, A_i in zip(T, exact.A, strict=True)])
     last = np.cumsum(form.degrees) - 1
@@ -144,21 +151,6 @@ def resting(loads: Loads, form: NormalForm) -> Rational:
     except ZeroDivisionError:
         return nothing
     return flint.fmpq_mat(q, p, [found[k * q + j, 0] for j in range(q) for k in range(p)])
-
-
-def _bent(form: NormalForm, G: BallMatrix) -> OutsideTheory:
-    """Return the refusal of loads that move a derivative which is another form of the state in other cells."""
-    assert form.plant.loads is not None
-    last = dict(zip(form.plant.tracked_names, np.cumsum(form.degrees) - 1, strict=True))
-    bent = [name for name, piecewise in zip(last, form.piecewise, strict=True) if piecewise]
-    moved = [name for name in bent if G.floats[last[name]].any()]
-    name = (moved or bent)[0]
-    return OutsideTheory(
-        f"unknown loads {', '.join(form.plant.loads.names)} move the last derivative of '{name}' before "
-        "the inputs do, and it is another form of the state in other cells: nothing is proved of that",
-        subject=(ProblemPart.ESTIMATE,),
-        hint="estimate loads that enter where inputs do",
-    )
 
 
 def coupling(plant: PWASystem, K: BallMatrix, L: BallMatrix, X: BallMatrix) -> BallMatrix:

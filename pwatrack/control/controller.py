@@ -139,10 +139,14 @@ class ProvedController:
     running: PWASystem  # the plant that it controls
     design: Gains  # the gains with their proofs
     trajectory: DesiredTrajectory  # where x_d and u_ff come from
-    generator: TrajectoryGenerator | None  # the trajectory generator (15), for output tracking only
     proofs: tuple[AnyProof, ...]  # exact proofs of (8), (9) and (17) for the matrices and gains as printed
     sizes: Sizes  # of all signals of the plant: what the gains were weighed with
     claims: tuple[Claim, ...] = ()  # what is proved of the loop, in the order in which it is said
+
+    @property
+    def generator(self) -> TrajectoryGenerator | None:
+        """The trajectory generator (15), for output tracking only."""
+        return self.trajectory.generator
 
     @property
     def tracking(self) -> Literal["output", "state"]:

@@ -61,8 +61,11 @@ def best_certificate(
         if margin is None:
             points, ceiling = [], min(ceiling, trial)
         else:
-            points = [*points, (trial, margin)][-2:]
-            trial = max(_root_of_chord(points), best.rate)
+            points, root = [*points, (trial, margin)][-2:], -np.inf
+            if len(points) == 2 and points[0][1] > points[1][1]:
+                (a, high), (b, low) = points
+                root = b + low * (b - a) / (high - low)
+            trial = max(root, best.rate)
             if len(points) == 2 and trial - best.rate <= _CONVERGED * best.rate:
                 break
         if ceiling - best.rate <= _ENCLOSED * ceiling:
@@ -138,14 +141,6 @@ class _Rates:
         return None
 
 
-def _root_of_chord(points: list[tuple[float, float]]) -> float:
-    """Return where the line through two points meets 0; minus infinity if there is none to the right of them."""
-    if len(points) < 2 or not points[0][1] > points[1][1]:
-        return -np.inf
-    (a, high), (b, low) = points
-    return b + low * (b - a) / (high - low)
-
-
 def least_overshoot_certificate(
     M: Array, rate: float, *, sizes: Array | None = None, start: Array | None = None
 ) -> Certificate | None:
@@ -202,11 +197,10 @@ def prove_convergence(
 ) -> Found:
     """Prove M_i P + P M_iᵀ ≺ 0 for all cells, or say why not. With M_i = A_iᵀ this is (7).
 
-    Where there is no such P, a polynomial that decays may take its place: see `lmi.polynomial`.
-
-    M is (l, n, n), and the claim is what messages say, `"(17)"`. A proof is about the exact matrices M_i, or about the
-    decimals that M prints as. Hint and remedy are what to do where a cell is unstable by itself. Raises Infeasible if
-    it is proved that no P exists, and no polynomial is found; Undecided if neither is proved.
+    Where there is no such P, a polynomial that decays may take its place: see `lmi.polynomial`. M is (l, n, n), and the
+    claim is what messages say, `"(17)"`. A proof is about the exact matrices M_i, or about the decimals that M prints
+    as. Hint and remedy are what to do where a cell is unstable by itself. Raises Infeasible if it is proved that no P
+    exists, and no polynomial is found; Undecided if neither is proved.
     """
     if not M.shape[1]:
         return Certificate(M=M, P=np.zeros((0, 0)), rate=np.inf, margin=np.inf)
@@ -228,12 +222,13 @@ def prove_convergence(
         if instead is not None:
             return instead
         refutation = refutation or refuted()
+    tell = partial(_conflict_text, claim, refutation, abscissa, cells, tried)
     if refutation is None:
-        raise _undecided(claim, abscissa, cells, subject, tried)
+        marginal = "the case is marginal or badly scaled: change the data a little to see which way it goes"
+        raise Undecided(Problem.of_many(tell, subject=subject, hint=marginal))
     if not refutation.eigenvalues:
         hint = "they differ too much for one Lyapunov function: bring them closer, or damp them more"
         remedy = None
-    tell = partial(_conflict_text, claim, refutation, abscissa, cells, tried)
     problem = Problem.of_many(tell, subject=subject, hint=hint, remedy=remedy)
     raise Infeasible(problem, evidence=Impossibility(role=role, rate=0.0, refutation=refutation))
 
@@ -279,33 +274,18 @@ def near_polynomial(A: Array, sizes: Array | None = None) -> Coordinates:
     return _near(A.swapaxes(1, 2), None, sizes)
 
 
-def _undecided(
-    claim: str, abscissa: Array, cells: Sequence[str], subject: Subject, tried: tuple[int, ...]
-) -> Undecided:
-    said = f"{claim} is undecided: found neither a common P nor a proof that none exists{_tried_text(tried)}; "
-    return Undecided(
-        Problem.of_many(
-            lambda most: said + eigenvalue_text(abscissa, cells, most),
-            subject=subject,
-            hint="the case is marginal or badly scaled: change the data a little to see which way it goes",
-        )
-    )
-
-
 def _conflict_text(
-    claim: str, proof: Refutation, abscissa: Array, cells: Sequence[str], tried: tuple[int, ...], most: int | None
+    claim: str, proof: Refutation | None, abscissa: Array, cells: Sequence[str], tried: Sequence[int], most: int | None
 ) -> str:
-    names = listed([f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])], most)
-    if names:
-        reason = f"{names} not stable"
+    vain = (
+        f", and no polynomial of degree {joined([*map(str, tried)], 'or')} was found to take its place" if tried else ""
+    )
+    if proof is None:
+        said = f"undecided: found neither a common P nor a proof that none exists{vain}"
+    elif proof.eigenvalues:
+        names = [f"'{cells[i]}'" for i in sorted(proof.eigenvalues, key=lambda i: -abscissa[i])]
+        said = f"infeasible: {listed(names, most)} not stable"
     else:
-        reason = f"{conflict_text(proof, cells, most)}, no common P exists for them, though each is stable by itself"
-        reason += _tried_text(tried)
-    return f"{claim} is infeasible: {reason}; {eigenvalue_text(abscissa, cells, most)}"
-
-
-def _tried_text(degrees: tuple[int, ...]) -> str:
-    """Say which polynomials were looked for in vain."""
-    if not degrees:
-        return ""
-    return f", and no polynomial of degree {joined([*map(str, degrees)], 'or')} was found to take its place"
+        conflict = conflict_text(proof, cells, most)
+        said = f"infeasible: {conflict}, no common P exists for them, though each is stable by itself{vain}"
+    return f"{claim} is {said}; {eigenvalue_text(abscissa, cells, most)}"

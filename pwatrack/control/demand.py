@@ -17,18 +17,13 @@ Ends = tuple[Fraction, Fraction]
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
-    """What a reference keeps.
+    """What a reference keeps."""
 
-    Attributes:
-        degrees: Relative degree of each output.
-        box: Between what each entry of v is: for one output after the other y_d and its derivatives below y_d⁽ʳ⁾, then
-            all y_d⁽ʳ⁾. None for a y_d of which that is not said.
-        start: (ξ_d, η̂) at first, where all is at rest.
-    """
-
-    degrees: tuple[int, ...]
+    degrees: tuple[int, ...]  # relative degree of each output
+    # between what each entry of v is: for one output after the other y_d and its derivatives below y_d⁽ʳ⁾, then all
+    # y_d⁽ʳ⁾. None for a y_d of which that is not said.
     box: tuple[Ends | None, ...]
-    start: tuple[Fraction, ...]
+    start: tuple[Fraction, ...]  # (ξ_d, η̂) at first, where all is at rest
 
     @classmethod
     def of(cls, form: NormalForm, pace: Array, ends: Array, y: Array, eta: Array) -> "Kept":
@@ -77,20 +72,13 @@ class Kept:
 
 @dataclass(frozen=True, kw_only=True)
 class Demand:
-    """Between what u_ff is for any reference that keeps its limits.
+    """Between what u_ff is for any reference that keeps its limits."""
 
-    Attributes:
-        kept: What it keeps.
-        low, high: Of each input, (m,), rounded outward; infinite where that is not known.
-        missing: Why it is not known; "" where it is.
-        proof: What proves it, as a certificate has it.
-    """
-
-    kept: Kept
-    low: Array
-    high: Array
-    missing: str = ""
-    proof: Any = None
+    kept: Kept  # what it keeps
+    low: Array  # of each input, (m,), rounded outward; infinite where that is not known
+    high: Array  # likewise
+    missing: str = ""  # why it is not known; "" where it is
+    proof: Any = None  # what proves it, as a certificate has it
 
     @classmethod
     def unknown(cls, kept: Kept, inputs: int, missing: str) -> "Demand":

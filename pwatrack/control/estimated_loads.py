@@ -26,27 +26,18 @@ from pwatrack.rational import fraction_of, identity, number
 _BITS = 100  # of the entries of an integral and its terms, which may cancel; what rounds them is in its radius
 _MORE = 1 + Fraction(1, 2**60)  # times a radius that is rounded
 _TAIL = Fraction(1, 2**80)  # share of h below which the rest of a sum may be
-_NOT_AT_INPUTS = "loads that are estimated do not act at inputs, known exactly, while x_d is given"
-_LATE = "ticks come early and late, and a load that is estimated oscillates"
 Cell = tuple[BallMatrix, BallMatrix]  # F_a in 1/s, (k + p, k + p), and u_a, (m, k + p)
 Mean = tuple[BallMatrix, BallMatrix]  # F_j or c_aj, in 1/s, (·, k + p), and D_j, (n, k + p)
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnEstimates:
-    """How x_d, v' and u_ff depend on v = (ŝ, η̂) of k and p entries; p = 0 where no load acts on η.
+    """How x_d, v' and u_ff depend on v = (ŝ, η̂) of k and p entries; p = 0 where no load acts on η."""
 
-    Attributes:
-        loads: k.
-        moves: c_aj and D_j: all others are means of these.
-        cells: F_a and u_a of all cells that differ.
-        hull: F_j and D_j: all others are means of these.
-    """
-
-    loads: int
-    moves: Sequence[Mean]
-    cells: Sequence[Cell]
-    hull: Sequence[Mean]
+    loads: int  # k
+    moves: Sequence[Mean]  # c_aj and D_j: all others are means of these
+    cells: Sequence[Cell]  # F_a and u_a of all cells that differ
+    hull: Sequence[Mean]  # F_j and D_j: all others are means of these
 
     @classmethod
     def of(cls, plant: PWASystem, form: NormalForm | None, X: BallMatrix, filtered: int) -> "OnEstimates | None":
@@ -59,9 +50,8 @@ class OnEstimates:
             return None
         k, S = loads.S.shape[0], loads.S
         if form is None:
-            return cls(
-                loads=k, moves=[(zero(n, k) - loads.E, X)], cells=[(S, zero(m, k) - _matched(plant))], hull=[(S, X)]
-            )
+            cells = [(S, zero(m, k) - _matched(plant))]
+            return cls(loads=k, moves=[(zero(n, k) - loads.E, X)], cells=cells, hull=[(S, X)])
         A, T, inverse, Z = plant.exact.A, form.exact.T, form.exact.inverse, form.exact.directions
         push, last = loads.E - X @ S, (np.cumsum(form.degrees) - 1).tolist()
         own = T[0].part(range(form.r, form.r + filtered), range(n))
@@ -123,12 +113,14 @@ def at_inputs(plant: PWASystem, form: NormalForm | None) -> bool:
 
 def refused(plant: PWASystem, form: NormalForm | None, jitter: float) -> str:
     """Return why nothing is said of a program with loads that it estimates; "" where it is."""
-    loads = plant.loads
+    loads, B = plant.loads, plant.exact.B
     if loads is None or at_inputs(plant, form):
         return ""
-    if form is None and not _is_matched(plant):
-        return _NOT_AT_INPUTS
-    return _LATE if jitter and any(loads.S.centre.entries()) else ""
+    known = B.radius is None and loads.E.radius is None and B.centre.rank() == B.shape[1]
+    if form is None and not (known and B.centre * _matched(plant).centre == loads.E.centre):
+        return "loads that are estimated do not act at inputs, known exactly, while x_d is given"
+    oscillates = jitter and any(loads.S.centre.entries())
+    return "ticks come early and late, and a load that is estimated oscillates" if oscillates else ""
 
 
 def _matched(plant: PWASystem) -> BallMatrix:
@@ -136,13 +128,6 @@ def _matched(plant: PWASystem) -> BallMatrix:
     assert plant.loads is not None
     B = plant.exact.B.centre
     return BallMatrix((B.transpose() * B).inv() * B.transpose() * plant.loads.E.centre)
-
-
-def _is_matched(plant: PWASystem) -> bool:
-    loads, B = plant.loads, plant.exact.B
-    assert loads is not None
-    known = B.radius is None and loads.E.radius is None
-    return known and B.centre.rank() == B.shape[1] and B.centre * _matched(plant).centre == loads.E.centre
 
 
 def _means(pairs: Sequence[Mean]) -> list[Mean]:
@@ -185,10 +170,9 @@ def _within(X: BallMatrix, open_: Fraction) -> BallMatrix:
 def _short(X: BallMatrix) -> BallMatrix:
     """Return a ball around a matrix, with entries of few digits."""
     entries = [fraction_of(v) for v in X.centre.entries()]
+    known = [Fraction(0)] * len(entries) if X.radius is None else [fraction_of(v) for v in X.radius.entries()]
     shown = [_rounded(v) for v in entries]
-    off = [abs(v - w) for v, w in zip(entries, shown, strict=True)]
-    radius = off if X.radius is None else [v + fraction_of(w) for v, w in zip(off, X.radius.entries(), strict=True)]
-    radius = [_rounded(v) * _MORE for v in radius]
+    radius = [_rounded(abs(v - w) + r) * _MORE for v, w, r in zip(entries, shown, known, strict=True)]
     centre, around = (flint.fmpq_mat(*X.shape, [number(v) for v in some]) for some in (shown, radius))
     return BallMatrix(centre, around if any(radius) else None)
 

@@ -30,16 +30,11 @@ _NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there,
 
 @dataclass(frozen=True, kw_only=True)
 class Peak:
-    """How small and how large the feedforward gets.
+    """How small and how large the feedforward gets."""
 
-    Attributes:
-        low, high: Of each input, (m,).
-        times: When it gets there, in s, (m, 2).
-    """
-
-    low: Array
-    high: Array
-    times: Array
+    low: Array  # of each input, (m,)
+    high: Array  # likewise
+    times: Array  # when it gets there, in s, (m, 2)
 
     def span(self, k: int, unit: str) -> str:
         """Say between what an input is; an end that is rounding beside the other is 0."""
@@ -83,23 +78,18 @@ class Peak:
 
 @dataclass(frozen=True, kw_only=True)
 class Starts:
-    """Errors with which a run may begin: (e, Δ) = (x − x_d, x̂ − x) = G ζ with |ζ_k| ≤ 1.
+    """Errors with which a run may begin: (e, Δ) = (x − x_d, x̂ − x) = G ζ with |ζ_k| ≤ 1."""
 
-    Attributes:
-        kind: "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the
-            run. "ensemble": those of its members. "members": the same with Δ = 0. "every": all there are.
-        e: Rows of G for e, (n, k).
-        delta: Rows of G for Δ, (n, k), or None for Δ = 0.
-        load: Rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their
-            sign, (p, k). None where Δ = 0: then no load acts.
-        z: Rows of G for all errors of a sampled loop whose inputs are late, as the first one acts, (order, k), with
-            what the run makes of the others till then; None where they follow from those above.
-    """
-
+    # "exact": each entry of e within its size, Δ = 0. "sizes": each entry of e and of Δ. "run": that of the run.
+    # "ensemble": those of its members. "members": the same with Δ = 0. "every": all there are.
     kind: Literal["exact", "sizes", "run", "ensemble", "members", "every"]
-    e: Array
-    delta: Array | None = None
+    e: Array  # rows of G for e, (n, k)
+    delta: Array | None = None  # rows of G for Δ, (n, k), or None for Δ = 0
+    # rows of G for the errors of the estimates of loads, which are 0 at first: so for the loads but for their sign, (p,
+    # k). None where Δ = 0: then no load acts.
     load: Array | None = None
+    # rows of G for all errors of a sampled loop whose inputs are late, as the first one acts, (order, k), with what the
+    # run makes of the others till then; None where they act at once
     z: Array | None = None
 
     @property
@@ -128,17 +118,11 @@ class Starts:
 
 @dataclass(frozen=True, kw_only=True)
 class InputConstraint:
-    """Errors e = G ζ, |ζ_k| ≤ 1, from which K e is not to reach limits, or these are to do no harm.
+    """Errors e = G ζ, |ζ_k| ≤ 1, from which K e is not to reach limits, or these are to do no harm."""
 
-    Attributes:
-        starts: Boxes G (n, k); where no limit may be reached one, of rank n.
-        left: ū (m,); infinite where an input has no limit.
-        over: Of what is left, what K may ask of an input from there: at 1 no limit is reached.
-    """
-
-    starts: Sequence[Array]
-    left: Array
-    over: float = 1.0
+    starts: Sequence[Array]  # boxes G (n, k); where no limit may be reached one, of rank n
+    left: Array  # ū (m,); infinite where an input has no limit
+    over: float = 1.0  # of what is left, what K may ask of an input from there: at 1 no limit is reached
 
     def share(self, task: Task, K: Array, proof: Certificate) -> float:
         """Return how many times as large these errors may be for a gain K (m, n), by an exact proof; 0 for none.
@@ -169,41 +153,26 @@ class InputConstraint:
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRoom:
-    """Limits of outputs and states, and what the reference takes of them: what it leaves is room for errors.
+    """Limits of outputs and states, and what the reference takes of them: what it leaves is room for errors."""
 
-    Attributes:
-        names: What has limits.
-        forms: What of x each is.
-        room: The limits, and what x_d takes of them.
-        acting: How large each disturbance and noise of the file is.
-    """
-
-    names: tuple[str, ...]
-    forms: tuple[Form, ...]
-    room: "Headroom"
-    acting: Mapping[Channel, float]
+    names: tuple[str, ...]  # what has limits
+    forms: tuple[Form, ...]  # what of x each is
+    room: "Headroom"  # the limits, and what x_d takes of them
+    acting: Mapping[Channel, float]  # how large each disturbance and noise of the file is
 
 
 @dataclass(frozen=True, kw_only=True)
 class Headroom:
-    """Limits of the inputs, and what the feedforward takes of them: what it leaves is room for errors.
+    """Limits of the inputs, and what the feedforward takes of them: what it leaves is room for errors."""
 
-    Attributes:
-        limits: Lower and upper limit of each input, (m, 2); infinite where there is none.
-        lasting: What the feedforward takes whatever the generator starts with, where that is known: in its steady
-            state for the reference as it begins, and from there on.
-        peak: The same from the start of the generator in this run too; None where it could not be followed.
-        ever: Whether it is within that after the run too; else no more than the run is spoken of.
-        starts: Errors with which a run may begin.
-        set_points: What any set-points take too, where the program makes a reference of these.
-    """
-
-    limits: Array
+    limits: Array  # lower and upper limit of each input, (m, 2); infinite where there is none
+    # what the feedforward takes whatever the generator starts with, where that is known: in its steady state for the
+    # reference as it begins, and from there on
     lasting: Peak | None
-    peak: Peak | None
-    ever: bool = False
-    starts: tuple[Starts, ...] = ()
-    set_points: Demand | None = None
+    peak: Peak | None  # the same from the start of the generator in this run too; None where it could not be followed
+    ever: bool = False  # whether it is within that after the run too; else no more than the run is spoken of
+    starts: tuple[Starts, ...] = ()  # errors with which a run may begin
+    set_points: Demand | None = None  # what any set-points take too, where the program makes a reference of these
 
     @property
     def inputs(self) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ from pwatrack.control import refusal
 from pwatrack.control.goal import Given, Goal, demands
 from pwatrack.control.synthesis import given
 from pwatrack.control.task import Task
-from pwatrack.errors import Infeasible, OutsideTheory, Problem, ProblemPart, PwatrackError
+from pwatrack.errors import Infeasible, OutsideTheory, ProblemPart, PwatrackError
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Impossibility, Refutation, refute, refute_by_modes
 from pwatrack.model.loads import Loads
@@ -65,8 +65,7 @@ def check_loads(plant: PWASystem, *, output: bool) -> None:
     Raises OutsideTheory if states are tracked and a load enters where no input does; Infeasible if (9) has no solution
     for the plant with its loads: [jω I − A_i, −E; C, 0] has not full column rank in some cell, E the columns of the
     loads of frequency ω; or there are as many constants as outputs and det [A_i, E; C, 0] has not the same sign in all
-    cells: (9) is affine in A_i, so it speaks of all matrices between two cells too, and in one of them the determinant
-    is 0.
+    cells, of which (9) holds in between too.
     """
     loads = plant.loads
     if loads is None:
@@ -76,7 +75,7 @@ def check_loads(plant: PWASystem, *, output: bool) -> None:
     frequencies = list(dict.fromkeys(load.frequency.centre for load in loads.each))
     for frequency in frequencies:
         members = [k for k, load in enumerate(loads.each) if load.frequency.centre == frequency]
-        reason = _too_many(plant, members) or _hidden(plant, loads, members, frequency)
+        reason = _hidden(plant, loads, members, frequency)
         if reason:
             task = Task.of(plant, OBSERVER)
             raise _unseen(loads, members, reason, refute(task.A, task.B, exact=task.centres))
@@ -90,25 +89,17 @@ def _check_matched(plant: PWASystem, loads: Loads) -> None:
     for load, k in zip(loads.each, loads.where, strict=True):
         column = loads.E.part(range(len(plant.states)), [k]).centre
         if column_space(beside([B, column])).ncols() > rank:
-            message = (
-                f"load '{load.name}' cannot be compensated in state tracking: it enters where no input does, and x_d "
-                "is given"
-            )
+            said = f"load '{load.name}' cannot be compensated in state tracking: it enters where no input does, and x_d"
             hint = "track an output instead: there x_d follows from the reference and the load"
-            raise OutsideTheory(message, subject=(ProblemPart.ESTIMATE, load.name), hint=hint)
-
-
-def _too_many(plant: PWASystem, members: list[int]) -> str:
-    q = len(plant.outputs)
-    if len(members) <= q:
-        return ""
-    outputs = "output does" if q == 1 else "outputs do"
-    return f"{q} measured {outputs} not tell more than {q} of one frequency apart, and these are {len(members)}"
+            raise OutsideTheory(f"{said} is given", subject=(ProblemPart.ESTIMATE, load.name), hint=hint)
 
 
 def _hidden(plant: PWASystem, loads: Loads, members: list[int], frequency: Fraction) -> str:
-    """Say in which cell, and by what, loads of one frequency are hidden from the outputs, or nothing."""
+    """Say by what, and in which cell, loads of one frequency are hidden from the outputs, or nothing."""
     n, q, p = len(plant.states), len(plant.outputs), len(members)
+    if p > q:
+        outputs = "output does" if q == 1 else "outputs do"
+        return f"{q} measured {outputs} not tell more than {q} of one frequency apart, and these are {p}"
     E, C = loads.E.part(range(n), [loads.where[k] for k in members]).centre, plant.exact.C.centre
     for name, A_i in zip(plant.cell_names, plant.exact.A, strict=True):
         kernel = left_null_space(_pencil(A_i.centre, E, C, frequency).transpose())
@@ -145,9 +136,8 @@ def _check_between(plant: PWASystem, loads: Loads, members: list[int]) -> None:
     v = left_null_space((pencils[i] + (pencils[j] - pencils[i]) * share).transpose()).tolist()[0]
     places = [*range(n), *(n + loads.where[k] for k in members)]
     whole = lcm(*(int(entry.q) for entry in v))
-    x = [0] * N
-    for place, entry in zip(places, v, strict=True):
-        x[place] = int((entry * whole).p)
+    known = {place: int((entry * whole).p) for place, entry in zip(places, v, strict=True)}
+    x = [known.get(place, 0) for place in range(N)]
     weights = {i: int(share.q) - int(share.p), j: int(share.p)}
     Z = {cell: tuple(tuple(weight * a * b for b in x) for a in x) for cell, weight in weights.items()}
     names, figures = plant.cell_names, [f"{float(fraction_of(sizes[cell])):.3g}" for cell in (i, j)]
@@ -176,10 +166,9 @@ def _unseen(loads: Loads, members: list[int], reason: str, found: Refutation | N
     frequency = float(loads.each[members[0]].frequency)
     some = f"load{'s' * (len(members) > 1)}"
     kind = f"the {some} of {frequency:g} rad/s" if frequency else f"the constant {some}"
-    evidence = None if found is None else Impossibility(role=OBSERVER, rate=0.0, refutation=found)
-    problem = Problem(
-        message=f"(9) is infeasible: {kind} {names} cannot be estimated: {reason}",
+    return Infeasible(
+        f"(9) is infeasible: {kind} {names} cannot be estimated: {reason}",
         subject=(ProblemPart.ESTIMATE,),
         hint="measure another output, or estimate fewer loads",
+        evidence=None if found is None else Impossibility(role=OBSERVER, rate=0.0, refutation=found),
     )
-    return Infeasible(problem, evidence=evidence)

@@ -28,21 +28,17 @@ class Front:
 
 def pareto(task: Task, K: Array, rate: float) -> Front:
     """Return the smallest gains at rates around that (1/s) of a design with the gain K (m, n)."""
-    points: list[tuple[float, float]] = []
-    search, limit = Search(task), np.inf
-    for factor in _FACTORS:
-        point = _smallest(search, factor * rate)
-        if point is None:
-            limit = factor * rate
-            break
-        points.append(point)
+    search, points = Search(task), list[tuple[float, float]]()
+
+    def at(trial: float) -> tuple[float, None] | None:
+        found = search.smallest(trial)
+        if found is None:
+            return None
+        points.append((found[1].rate, task.norm(found[0])))
+        return found[1].rate, None
+
+    limit = next((factor * rate for factor in _FACTORS if at(factor * rate) is None), np.inf)
     if np.isfinite(limit) and points:
-
-        def at(trial: float) -> tuple[float, None] | None:
-            point = _smallest(search, trial)
-            points.extend([point] if point else [])
-            return None if point is None else (point[0], None)
-
         limit = bisected((points[-1][0], None), limit, at, near=0.0, most=_BISECTIONS)[2]
     chosen = rate, task.norm(K)
     found = np.array([*points, chosen])  # what reaches a rate reaches every lower one
@@ -51,8 +47,3 @@ def pareto(task: Task, K: Array, rate: float) -> Front:
     return Front(
         role=task.role, rates=readonly(columns[:, 0]), norms=readonly(columns[:, 1]), limit=limit, chosen=chosen
     )
-
-
-def _smallest(search: Search, rate: float) -> tuple[float, float] | None:
-    found = search.smallest(rate)
-    return None if found is None else (found[1].rate, search.task.norm(found[0]))

@@ -1,6 +1,5 @@
 """The controller as a program that runs once in a sample time: its numbers. What it does: `docs/arithmetic.md`."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import ceil
 
@@ -11,10 +10,10 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.realisable import input_trajectory, state_trajectory
-from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import InvalidSpec, OutsideTheory, Problem, ProblemPart
-from pwatrack.model.conditions import Conditions, Method, Sampling
+from pwatrack.errors import InvalidSpec, OutsideTheory, ProblemPart
+from pwatrack.model.conditions import Conditions, Sampling
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
 PACE = "speed", "acceleration", "jerk", "snap", "crackle"  # what of y_d has limits where it is made of set-points
@@ -146,80 +145,67 @@ def program(controller: ProvedController, conditions: Conditions, *, given: bool
     sampling, plant = conditions.sampling, controller.plant
     assert sampling is not None
     trajectory, names = _given_trajectory(controller) if given else (controller.trajectory, ())
-    m, partition, steps = plant.B.shape[1], plant.model.partition, _stepper(sampling)
+    m, partition, h = plant.B.shape[1], plant.model.partition, sampling.sample_time
     s_hat = len(controller.design.L) - len(plant.B)
-    added = controller.compensation
-    gains = controller.sampled_gains(sampling) if sampling.corrects else None
-    if given and controller.trajectory.preview:
-        added = beside_given(plant, added.X)
+    own = controller.compensation
+    added = beside_given(plant, own.X) if given and controller.trajectory.preview else own
     each = flows(controller, trajectory)
     u_ff, late = on_estimates(trajectory.u_ff, added.u_ff), _ahead(controller, sampling, each.shape[1])
-    no_limits = np.tile([-np.inf, np.inf], (m, 1))
-    rates, quanta = conditions.rates, conditions.quanta
-    found = SampledController(
-        sampling=sampling,
-        substeps=1 if gains is None else gains.substeps,
-        H=partition.H,
-        h=partition.h,
-        signs=partition.signs,
-        observer=_observer(controller, steps) if gains is None else _prediction(controller, gains),
-        C=plant.observed.C.floats,
-        M=np.zeros((0, len(plant.C))) if gains is None else gains.M,
-        E=np.zeros((0, m)) if gains is None else gains.E.reshape(-1, m),
-        generator=np.array([steps(F_j)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in each]) @ late,
-        guards=on_estimates(trajectory.guards, added.guards) @ late,
-        sides=trajectory.signs,
-        x_d=on_estimates(trajectory.x_d, added.X.floats) @ late,
-        u_ff=(u_ff if gains is None else u_ff @ means(each, sampling.sample_time)) @ late,
-        K=controller.design.K if gains is None else gains.K,
-        limits=no_limits if conditions.limits is None else conditions.limits,
-        change=np.full(m, np.inf) if rates is None else rates * sampling.sample_time,
-        quantum=np.zeros(m) if quanta is None else quanta.inputs,
-        follows=None if given else _follows(trajectory.exosystem, sampling),
-        reference=names,
-        pace=_pace(controller, conditions) if given else np.zeros((0, 4)),
-        set_range=np.zeros((0, 2)) if conditions.set_range is None or not given else conditions.set_range,
+    if sampling.corrects:
+        gains = controller.sampled_gains(sampling)
+        K, M, E, substeps = gains.K, gains.M, gains.E.reshape(-1, m), gains.substeps
+        observer = _observer(plant, M[:, :0], replace(sampling, sample_time=h / substeps))
+        u_ff = u_ff @ means(each, h)
+    else:
+        K, M, E, substeps = controller.K, np.zeros((0, len(plant.C))), np.zeros((0, m)), 1
+        observer = _observer(plant, controller.L, sampling)
+    return _checked(
+        SampledController(
+            sampling=sampling,
+            substeps=substeps,
+            H=partition.H,
+            h=partition.h,
+            signs=partition.signs,
+            observer=observer,
+            C=plant.observed.C.floats,
+            M=M,
+            E=E,
+            generator=np.array([_step(F_j, sampling)[s_hat : s_hat + trajectory.rate.shape[1]] for F_j in each]) @ late,
+            guards=on_estimates(trajectory.guards, added.guards) @ late,
+            sides=trajectory.signs,
+            x_d=on_estimates(trajectory.x_d, added.X.floats) @ late,
+            u_ff=u_ff @ late,
+            K=K,
+            limits=np.tile([-np.inf, np.inf], (m, 1)) if conditions.limits is None else conditions.limits,
+            change=np.full(m, np.inf) if conditions.rates is None else conditions.rates * h,
+            quantum=np.zeros(m) if conditions.quanta is None else conditions.quanta.inputs,
+            follows=None if given else _follows(trajectory.exosystem, sampling),
+            reference=names,
+            pace=_pace(controller, conditions) if given else np.zeros((0, 4)),
+            set_range=np.zeros((0, 2)) if conditions.set_range is None or not given else conditions.set_range,
+        )
     )
-    _check_windows(found)
-    if not all(np.isfinite(table).all() for table in (found.observer, found.generator, found.u_ff, found.K, found.M)):
-        message = f"{sampling.sample_time:g} s are too long a sample: what a cell does in it is out of range"
-        raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SAMPLE_TIME,), hint="a shorter sample time"))
-    return found
 
 
-def _stepper(sampling: Sampling) -> Callable[[Array], Array]:
-    """Return what turns F into the map of one sample time under ż = F z."""
-    method: Method = sampling.method
-
-    def step(F: Array) -> Array:
-        F = F * sampling.sample_time
-        return np.asarray(np.eye(len(F)) + F if method == "euler" else expm(F))
-
-    return step
+def _step(F: Array, sampling: Sampling) -> Array:
+    """Return the map of one sample time under ż = F z."""
+    F = F * sampling.sample_time
+    return np.asarray(np.eye(len(F)) + F if sampling.method == "euler" else expm(F))
 
 
-def _observer(controller: ProvedController, step: Callable[[Array], Array]) -> Array:
-    """Return the rows of x̂ and ŝ one sample later: (18) with held y and u, and with the loads."""
-    plant, L = controller.plant, controller.design.L
+def _observer(plant: PWASystem, L: Array, sampling: Sampling) -> Array:
+    """Return the rows of x̂ and ŝ one step later, on (y, u, x̂, ŝ, 1): (18) with held y and u, and with the loads.
+
+    Where nothing is measured on the way, L is (N, 0).
+    """
     (n, m), (N, q) = plant.B.shape, L.shape
     F = np.zeros((len(plant.observed.A), q + m + N + 1, q + m + N + 1))
     rows = slice(q + m, q + m + N)
     F[:, rows, :q] = -L
     F[:, q + m : q + m + n, q : q + m] = plant.B
-    F[:, rows, rows] = [A.floats + L @ plant.observed.C.floats for A in plant.observed.A]
+    F[:, rows, rows] = [A.floats + L @ plant.observed.C.floats[:q] for A in plant.observed.A]
     F[:, q + m : q + m + n, -1] = plant.model.b
-    return np.array([step(F_i)[rows] for F_i in F])
-
-
-def _prediction(controller: ProvedController, gains: SampledGains) -> Array:
-    """Return the rows of x̂ and ŝ one substep later, under the held u: nothing is measured on the way."""
-    plant = controller.plant
-    (n, m), N = plant.B.shape, len(gains.M)
-    F = np.zeros((len(plant.observed.A), m + N + 1, m + N + 1))
-    F[:, m : m + n, :m] = plant.B
-    F[:, m : m + N, m : m + N] = [A.floats for A in plant.observed.A]
-    F[:, m : m + n, -1] = plant.model.b
-    return np.array([expm(F_i * (gains.sample_time / gains.substeps))[m : m + N] for F_i in F])
+    return np.array([_step(F_i, sampling)[rows] for F_i in F])
 
 
 def flows(controller: ProvedController, trajectory: DesiredTrajectory) -> Array:
@@ -316,26 +302,28 @@ def _pace(controller: ProvedController, conditions: Conditions) -> Array:
         raise OutsideTheory(text, subject=subject)
     if (needed := max(degree, 3)) != conditions.pace.shape[1]:
         names = ", ".join(PACE[:needed])
-        raise InvalidSpec(
-            Problem(message=f"limits of {names} are needed, for a relative degree of {degree}", subject=subject)
-        )
+        raise InvalidSpec(f"limits of {names} are needed, for a relative degree of {degree}", subject=subject)
     start = system.derivative_rows(0)[0] @ system.w0
     if conditions.set_range is not None:
         for name, at, (low, high) in zip(controller.plant.tracked_names, start, conditions.set_range, strict=True):
             if not low <= at <= high:
                 text = f"{name} starts at {at:.6g}, where its reference does, and its range is {low:g} to {high:g}"
-                raise InvalidSpec(Problem(message=text, subject=subject))
+                raise InvalidSpec(text, subject=subject)
     return np.hstack([start[:, None], conditions.pace])
 
 
-def _check_windows(found: SampledController) -> None:
-    """Refuse limits so low that means are over too many samples."""
-    longest = found.windows.max(axis=0, initial=0)
+def _checked(found: SampledController) -> SampledController:
+    """Refuse limits so low that means are over too many samples, and samples so long that tables are out of range."""
+    longest, h = found.windows.max(axis=0, initial=0), found.sampling.sample_time
     for beyond in np.flatnonzero(longest > _LONGEST_WINDOW).tolist():
-        name, least = PACE[3 + beyond], 2 * found.pace[:, 3 + beyond].max() / found.sampling.sample_time
+        name, least = PACE[3 + beyond], 2 * found.pace[:, 3 + beyond].max() / h
         message = f"the limit of {name} is so low that it takes means over {longest[beyond]:,} samples"
         hint = f"at most {_LONGEST_WINDOW:,}: at least {least / _LONGEST_WINDOW:.3g}, or a lower limit before it"
-        raise InvalidSpec(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
+        raise InvalidSpec(message, subject=(ProblemPart.SET_POINTS,), hint=hint)
+    if not all(np.isfinite(table).all() for table in (found.observer, found.generator, found.u_ff, found.K, found.M)):
+        message = f"{h:g} s are too long a sample: what a cell does in it is out of range"
+        raise InvalidSpec(message, subject=(ProblemPart.SAMPLE_TIME,), hint="a shorter sample time")
+    return found
 
 
 def _chains(signals: int, length: int) -> Exosystem:

@@ -164,7 +164,7 @@ def set_point(
             misses.append(point)
         elif best is None or point.key < best.key:
             best = point
-        if best is not None and ((not best.free and not best.beyond) or i > _MOST_LOOKED):
+        if best is not None and (not (best.free or best.key[0]) or i > _MOST_LOOKED):
             break
     if best is not None:
         return DesiredTrajectory.linear(
@@ -188,13 +188,8 @@ class _Point:
     x_d: Array
     u_ff: Array
     free: int  # how many directions it may be moved in
-    beyond: int  # of how many ranges of inputs it is in none
-    size: float  # in units that are the same in all cells
-
-    @property
-    def key(self) -> tuple[int, float]:
-        """What is to be small; sizes that differ by rounding are one."""
-        return self.beyond, float(f"{self.size:.9g}")
+    # of how many ranges of inputs it is in none, and its size in units that are the same in all cells, but for rounding
+    key: tuple[int, float]
 
 
 _Solutions = tuple[Rational, Rational]  # all z = start + directions s of some linear equations: (k, 1) and (k, free)
@@ -218,9 +213,8 @@ def _equilibrium(plant: PWASystem, y: Array, i: int, sizes: Array | None, ranges
     z, free, within = found[0], found[1].ncols(), [_within(sides, offsets, ends, n) for ends in ranges]
     if free:
         inside = (z for z in _chosen(found, units, within) if _inside(sides, offsets, z))
-        if (chosen := next(inside, None)) is None:
+        if (z := next(inside, None)) is None:
             return f"those of cell '{name}' lie outside it"
-        z = chosen
     elif not _inside(sides, offsets, z):
         depth = floats(sides * z + offsets)[:, 0]
         k = int(np.argmin(depth / np.linalg.norm(H, axis=1)))
@@ -229,7 +223,7 @@ def _equilibrium(plant: PWASystem, y: Array, i: int, sizes: Array | None, ranges
     solution = floats(z)[:, 0]
     beyond = sum(not _inside(*each, z) for each in within)
     size = 0.0 if sizes is None else float(np.linalg.norm(solution / sizes))
-    return _Point(x_d=solution[:n], u_ff=solution[n:], free=free, beyond=beyond, size=size)
+    return _Point(x_d=solution[:n], u_ff=solution[n:], free=free, key=(beyond, float(f"{size:.9g}")))
 
 
 def _chosen(found: _Solutions, d: Array, within: Sequence[tuple[Rational, Rational]]) -> Iterator[Rational]:

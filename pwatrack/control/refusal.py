@@ -31,36 +31,31 @@ def no_gain(task: Task, rate: float, refutation: Refutation | None, margin: floa
         if np.isfinite(margin):
             message += f"; the best margin found is {margin:.2g}, relative to the largest entries"
         hint = "another actuator or measured output may help, or the other solver"
-        remedy = other_solver()
-        return Undecided(message, subject=subject, hint=hint, remedy=remedy)
+        return Undecided(message, subject=subject, hint=hint, remedy=other_solver())
     slower = ", or a slower rate" if rate else ""
+    able = f"though each {'reaches that rate' if rate else 'can be stabilised'} by itself"
     if refutation.eigenvalues:
         worst = sorted(refutation.eigenvalues.items(), key=lambda item: -item[1].real)
         modes = [f"{complex_text(v - rate)} in cell '{task.cells[i]}'" for i, v in worst]
-        hint = f"{reached_by(task, *worst[0], rate)}{slower}"
-    elif refutation.between is not None:
-        hint = f"{_reaching(task, refutation.between.v)}, or cells that differ less{slower}"
+        hint = reached_by(task, *worst[0], rate)
+    elif (mean := refutation.between) is not None:
+        parts = [f"{number_text(float(share))} of cell '{task.cells[i]}'" for i, share in mean.weights.items()]
+        moved = f"{number_text(float(mean.eigenvalue) - rate)} of {joined(parts)}"
+        hint = f"{_reaching(task, mean.v)}, or cells that differ less"
     else:
-        hint = f"another actuator or another measured output may help, cells that differ less{slower}"
-
-    able = f"{'reaches that rate' if rate else 'can be stabilised'} by itself"
+        hint = "another actuator or another measured output may help, cells that differ less"
 
     def tell(most: int | None) -> str:
         if refutation.eigenvalues:
             return f"{claim} is infeasible: no gain moves the eigenvalue {listed(modes, most)}"
-        if (mean := refutation.between) is not None:
-            parts = [f"{number_text(float(share))} of cell '{task.cells[i]}'" for i, share in mean.weights.items()]
-            return (
-                f"{claim} is infeasible: it is about every mean of cells, and no gain moves the eigenvalue "
-                f"{number_text(float(mean.eigenvalue) - rate)} of {joined(parts)}, though each {able}"
-            )
-        return (
-            f"{claim} is infeasible: {conflict_text(refutation, task.cells, most)}, no gain with a common P "
-            f"exists for them, though each {able}"
-        )
+        if refutation.between is not None:
+            said = f"it is about every mean of cells, and no gain moves the eigenvalue {moved}"
+        else:
+            said = f"{conflict_text(refutation, task.cells, most)}, no gain with a common P exists for them"
+        return f"{claim} is infeasible: {said}, {able}"
 
     return Infeasible(
-        Problem.of_many(tell, subject=subject, hint=hint),
+        Problem.of_many(tell, subject=subject, hint=hint + slower),
         evidence=Impossibility(role=task.role, rate=rate, refutation=refutation),
     )
 
@@ -92,9 +87,8 @@ def _reaching(task: Task, mode: Array) -> str:
     if not order:
         return wanted
     names = [f"d{task.states[k]}/dt" if acts else task.states[k] for k in order[:_NAMED]]
-    which = joined(names, "or")
     best = "" if len(names) == 1 else f", {'on' if acts else 'of'} the first most"
-    return f"{wanted}: any that acts on {which} does{best}" if acts else f"{wanted}: a sensor of {which} does{best}"
+    return f"{wanted}: {'any that acts on' if acts else 'a sensor of'} {joined(names, 'or')} does{best}"
 
 
 def joined(names: Sequence[str], by: str = "and") -> str:
@@ -137,9 +131,8 @@ def no_largest_rate(task: Task, rate: float) -> InvalidSpec:
 def conflict_text(refutation: Refutation | NoDichotomy, cells: Sequence[str], most: int | None = None) -> str:
     """Name the cells in conflict, or at most so many of them."""
     names = [f"'{cells[i]}'" for i in refutation.Z]
-    if most is not None and len(names) > most + 1:
-        return f"cells {listed(names, most)} conflict"
-    return f"cells {joined(names)} conflict"
+    few = most is None or len(names) <= most + 1
+    return f"cells {joined(names) if few else listed(names, most)} conflict"
 
 
 def eigenvalue_text(abscissa: Array, cells: Sequence[str], most: int | None = None) -> str:

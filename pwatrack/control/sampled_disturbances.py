@@ -1,11 +1,9 @@
 """How what acts on a sampled loop enters its errors z = (e, ν, Δ, σ, ρ), and how signals are read off these.
 
-Let ω be u as it is put out less ν less u_ff(t). The nominal loop, of the mean A₀ of the cells
-and without noise, has e₀' = A₀ e₀ + B (K e₀(t_k) + ω), e₀(0) = 0, all of which is known from the reference. With t_p
-where a substep began, z less (e₀, K e₀(t_k), 0, 0, R (e₀ − e₀(t_p))) obeys the same as z, with (A_i − A₀) e₀ in place
-of B ω, and with R (e₀ − e₀(t_p)) beside what R x_d moves. Rows of A_i − A₀ are in the span of R, which has a column in
-which one row alone is 1: with the unit vectors ε_k of these columns (A_i − A₀) e₀ = Σ_k (A_i − A₀) ε_k R_k e₀. So what
-is left is driven, with `sampled_error`, by scalars, each as large as it likes:
+With ω, u as it is put out less ν less u_ff(t), the nominal loop, of the mean A₀ of the cells and without noise, has
+e₀' = A₀ e₀ + B (K e₀(t_k) + ω), e₀(0) = 0: it is known from the reference. z less that of it obeys `sampled_error`,
+see *What ω does* in `docs/theory/beyond.md`, driven by scalars, each as large as it likes; ε_k is the unit vector of a
+column in which row k of R alone is 1:
 
     ("disturbance", k)   d in the k-th state equation: e' + d ε_k and all Δ' − d ε_k, so that ρ' is what it was
     ("deviation", k)     likewise with E_k in place of ε_k: what merging leaves out of the k-th element; where all cells
@@ -25,21 +23,13 @@ is left is driven, with `sampled_error`, by scalars, each as large as it likes:
     ("rounding", 0)      what rounding adds, as far as V^½ = 1 of each of its tubes: see `export.rounding`
     ("moved", k)         R_k ((x_d + e₀)(t) − (x_d + e₀)(t_p)) in a substep: it acts beside ρ_k, of all predictions
 
-Where λ times as much time passes as the program counts, e' is λ times as large and Δ' has (1 − λ) of it more; so
-disturbances are λ times as large. Where each tick is at most θ off its time, it is t at a time τ of the program with
-|t − τ| ≤ θ. Then e is x − x_d at t, and Δ what is predicted, which is for τ, less x_d + e₀ at τ and e. With δ for what
-something is at t less what it is at τ, Δ' has (A_m − A_j) δx_d + (A₀ − A_j) δe₀ besides, m a mean of cells, and what is
-measured has C δ(x_d + e₀): see `control.off_time`.
-
-V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at ticks: so it is at most the mean
-square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d| of what is summed. Several that
-all act between ticks, or all at them, may have one tube together: then d² is the sum of their squares, each in a size
-of its own.
-
-What moved drives by A_a − A_b, of the cells of the prediction as its substep began and now: by nothing in a substep in
-which both are on one side of every plane. "drawn", "cell" and "eta" are of estimates of loads, see
-`simulation.acting_estimates`: they are there in a sample only if these move x_d across a plane from where it is in it.
-"load" is of loads that step, see `simulation.loads_along`.
+Where λ times as much time passes as the program counts, disturbances are λ times as large; what ticks off their times
+add is in `control.off_time`. V of a tube (see `lmi.clocked_tubes`) has V' ≤ −a V + a d², or V⁺ ≤ (1 − b) V + b d² at
+ticks: so it is at most the mean square of d with weights that fade, which `level` adds up; or V^½' ≤ −(a / 2) V^½ + |d|
+of what is summed. Several that all act between ticks, or all at them, may have one tube together: then d² is the sum of
+their squares, each in a size of its own. "moved" is 0 in a substep in which the prediction stays on one side of every
+plane; "drawn", "cell" and "eta" are of estimates of loads, see `simulation.acting_estimates`, and "load" of loads that
+step, see `simulation.loads_along`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -67,25 +57,15 @@ SUMMED = "load", "start", "swap"  # what has no tube but one of its sum
 
 @dataclass(frozen=True, kw_only=True)
 class LateStart:
-    """Where the errors of a sampled loop are just before its first input acts, and what there was before.
+    """Where the errors of a sampled loop are just before its first input acts, and what there was before."""
 
-    Attributes:
-        z: Without noise, (order,).
-        off: How far z is from that at most, beside what noise adds, (order,).
-        moved: How far x − x_d goes at most till the first input acts, which may be early or late, (n,).
-        missed: How much more is measured off before, by ticks off their times, (q,).
-        beside: How large signals are at most in each substep before, likewise.
-        along: Between what numbers of the program are there, with what noise adds, (k, 2) each.
-        clear: How many sizes (x̂, ŝ) may be off more in each substep, and is in the same cells.
-    """
-
-    z: Array
-    off: Array
-    moved: Array
-    missed: Array
-    beside: Mapping[Form, Array]
-    along: Mapping[str, Array]
-    clear: float
+    z: Array  # without noise, (order,)
+    off: Array  # how far z is from that at most, beside what noise adds, (order,)
+    moved: Array  # how far x − x_d goes at most till the first input acts, which may be early or late, (n,)
+    missed: Array  # how much more is measured off before, by ticks off their times, (q,)
+    beside: Mapping[Form, Array]  # how large signals are at most in each substep before, likewise
+    along: Mapping[str, Array]  # between what numbers of the program are there, with what noise adds, (k, 2) each
+    clear: float  # how many sizes (x̂, ŝ) may be off more in each substep, and is in the same cells
 
     @property
     def substeps(self) -> int:
@@ -95,32 +75,23 @@ class LateStart:
 
 @dataclass(frozen=True, kw_only=True)
 class Acting:
-    """What acts in a run, in each of its K substeps.
+    """What acts in a run, in each of its K substeps."""
 
-    Attributes:
-        squares: The mean of d² of each channel, but for those that are 0, (K,); of noise d² at the tick before, of
-            swaps the square of the mean of |d|.
-        means: The mean of |d| of those that may be summed, likewise.
-        beside: How large at most that is which signals have beside c z, (K,): that of the nominal loop.
-        planes: Normals of the planes between cells, (P, n).
-        near: How near x_d + e₀ comes to each of them, in H x, (K, P).
-        apart: How near x_d comes to each of them in the sample, and that of the program at its tick, likewise.
-        loads: How large those get that step, and are constants in between, (k,); 0 of others.
-        changes: By how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,).
-        along: Between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held;
-            x_d, u_ff, eta_hat and w at ticks; s_hat. Of loads at inputs u and u_ff have what these take off.
-        late: How the run begins as its inputs are late; None where they are not, or that is not known.
-    """
-
+    # the mean of d² of each channel, but for those that are 0, (K,); of noise d² at the tick before, of swaps the
+    # square of the mean of |d|
     squares: Mapping[Channel, Array]
-    means: Mapping[Channel, Array]
+    means: Mapping[Channel, Array]  # the mean of |d| of those that may be summed, likewise
+    # how large at most that is which signals have beside c z, (K,): that of the nominal loop
     beside: Mapping[Form, Array]
-    planes: Array
-    near: Array
-    apart: Array
-    changes: Array
-    loads: Array
+    planes: Array  # normals of the planes between cells, (P, n)
+    near: Array  # how near x_d + e₀ comes to each of them, in H x, (K, P)
+    apart: Array  # how near x_d comes to each of them in the sample, and that of the program at its tick, likewise
+    changes: Array  # by how much what is held along x_d + e₀ changes from tick to tick at most, from 0 on, (m,)
+    loads: Array  # how large those get that step, and are constants in between, (k,); 0 of others
+    # between what numbers of the program are with x̂ = x = x_d + e₀, (k, 2) each: x_hat, y, u as it is held; x_d, u_ff,
+    # eta_hat and w at ticks; s_hat. Of loads at inputs u and u_ff have what these take off.
     along: Mapping[str, Array] = field(default_factory=dict)
+    # how the run begins as its inputs are late; None where they are not, or that is not known
     late: LateStart | None = None
 
     def after(self, late: LateStart) -> "Acting":
@@ -161,10 +132,7 @@ def joined(ends: Array, more: Array) -> Array:
 def level(d: Array, tube: Tube, gains: SampledGains) -> Array:
     """Return what V^½ of a tube is at most in each substep, from V = 0 on, (K,).
 
-    Args:
-        d: What acts in each: the mean square, or of what is summed its mean, at ticks it itself, (K,).
-        tube: Of that.
-        gains: Of the program.
+    `d` is what acts in each: the mean square, or of what is summed its mean, at ticks it itself, (K,).
     """
     step = gains.sample_time / gains.substeps
     if tube.b:

@@ -2,9 +2,8 @@
 
 At a tick t_k the program corrects x̂ and ŝ by M (C x̂ − y), and what it puts out is held for h. From there it predicts x̃:
 in each of r substeps with the affine law of the cell a in which x̃ is when it begins, at p. Where inputs are d samples
-late it predicts d times more, with the inputs that wait, and what it puts out acts d samples later. What acts from t_k
-on is u = K (x̃_d − x_d(t_k)) − U s̃_d + u_ff, where (x̃_i, s̃_i) is what was predicted for now from the tick i ago:
-x̃_0 = x̂_k at the tick. With loads s, if any, that are constants at inputs, E = B U, for
+late it predicts d times more, with the inputs that wait. With (x̃_i, s̃_i), what was predicted for now from the tick i
+ago, and loads s, if any, that are constants at inputs, E = B U, what acts is u = K (x̃_d − x_d(t_k)) − U s̃_d + u_ff. For
 
     e = x − x_d,   ν = K (x̃_d − x_d) at the tick,   (Δ_i, σ_i) = (x̃_i − x, s̃_i − s),
     ρ_i = R (x̃_i − p_i) − R (x_d(t) − x_d(t_p))
@@ -14,29 +13,20 @@ and i = 0 … max(d, 1) − 1, with rows R that span those of all A_a − A_b = 
     e' = A_i e + B ν − E σ_0 + B ω,      ν' = 0,
     (Δ, σ)' = [A_j, E; 0, 0] (Δ, σ) + (G_ab (ρ + R (x_d(t) − x_d(t_p))), 0),      ρ' = R (e' + Δ').
 
-The field f of all cells has f(x) − f(x_d) = A_i (x − x_d) with A_i in the hull of the cells, likewise for x̃ and x; and
-f_a(x̃) − f(x̃) = (A_a − A_b)(x̃ − p), since f_a(p) = f(p). i is any, and j and (a, b) are any for each prediction. After a
-substep ρ⁺ = 0; after a tick, with noise n beside C Δ_0,
+A_i and A_j are any in the hull of the cells, and (a, b) any; j and (a, b) for each prediction. After a substep ρ⁺ = 0;
+after a tick, with noise n beside C Δ_0,
 
     e⁺ = e,   (Δ_0, σ_0)⁺ = (Δ_0, σ_0) + M C Δ_0,   (Δ_i, σ_i)⁺ = (Δ_{i−1}, σ_{i−1}),   ρ⁺ = 0,
     ν⁺ = K (e + Δ_0⁺) without delay,   ν⁺ = K (e + Δ_{d−1}) − U σ_{d−1} with it.
 
-With delay ν has −U σ_d of its tick, and e' no − E σ_0. So one sample of it adds nothing: x̃_1 is x̃_0 not yet corrected.
+With delay ν has −U σ_d of its tick, and e' no − E σ_0. Where a tick comes λ h after the one before, in the time of the
+program, which is h from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more. Where another plant of a
+box runs, e' has A_i(p) and B_p, for the same i, and Δ' has A_i e + B ν less that: see `claims.robust`. Where the
+program predicts all cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all. The
+rest, as ω = u_ff as it is held less u_ff(t), acts from outside: see `sampled_disturbances`.
 
-A tick that comes λ h after the one before finds x̃ predicted for h all the same. In the time of the program, which is h
-from tick to tick, e' is λ times that, and Δ' has 1 − λ times that more; what else there is acts from outside: see
-`sampled_disturbances`.
-
-Where another plant runs than the program knows, one of a box, f_p and B_p have A_i(p) and B_p in e' where f and B have
-A_i and B, for the same i, and Δ' has A_i e + B ν less that: see `claims.robust`. w acts from outside, in e' and against
-it in Δ', and ω by B_p.
-
-ω = u_ff as it is held less u_ff(t), what the reference moves in a substep or while a tick is late, disturbances, n,
-steps of the generator beside (15), and what merged cells leave out act from outside. Where the program predicts all
-cells of a plant whose design has merged ones, i is of the merged ones, and j, a, b of all.
-
-Other loads move x_d and η̂ too. Of these x_d, u_ff and η are those of the true s, e' has (c_aj − A_i D_j) ε and not
-−E σ_0, and z has ε and δ more, held as ν is: see `estimated_loads`. At a tick
+Other loads move x_d and η̂ too: e' has (c_aj − A_i D_j) ε and not −E σ_0, with x_d and u_ff of the true s, and z has ε
+and δ more, held as ν is: see `estimated_loads`. At a tick
 
     ε⁺ = (σ_0⁺ or with delay σ_{d−1}, δ),   ν⁺ = K (e + Δ_0⁺ or Δ_{d−1} − D_j ε⁺) + u_a Q(F_a) F_j ε⁺,
     δ⁺ = [ε⁺ + P(F_a) F_j ε⁺]_η
@@ -66,37 +56,26 @@ from pwatrack.real import Real
 
 @dataclass(frozen=True, kw_only=True)
 class SampledErrors:
-    """What z = (e, ν, (Δ_i, σ_i) …, ρ_i …) of a sampled loop obeys.
+    """What z = (e, ν, (Δ_i, σ_i) …, ρ_i …) of a sampled loop obeys."""
 
-    Attributes:
-        plant: What runs; the program predicts it, or where it is `watched` that one.
-        gains: Of the program.
-        cells: A_i that have those of all cells in their hull.
-        seen: A_j of what is predicted, likewise.
-        changes: A_a − A_b of these, in boxes; none where all are one.
-        R: Rows that span the rows of these, each with a column in which it alone is 1.
-        deviations: Columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is
-            at most.
-        estimates: How x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs.
-        starts: Columns z, (order, 1), of which what z is before the first tick of a run, or before that at which its
-            first late input acts, is a mean, of any sign; None where that is not known.
-        corners: Matrices of plants that may run in place of it, they and their means; none where it runs itself.
-        sizes: Of the signals of the plant, in which forms are looked for; None where those of no file are known.
-        few: Corners of boxes of flows, up to which each is looked at: what is found is a little better then.
-    """
-
-    plant: PWASystem
-    gains: SampledGains
-    cells: Sequence[BallMatrix]
-    seen: Sequence[BallMatrix]
-    changes: Sequence[Box]
-    R: BallMatrix
+    plant: PWASystem  # what runs; the program predicts it, or where it is `watched` that one
+    gains: SampledGains  # of the program
+    cells: Sequence[BallMatrix]  # A_i that have those of all cells in their hull
+    seen: Sequence[BallMatrix]  # A_j of what is predicted, likewise
+    changes: Sequence[Box]  # A_a − A_b of these, in boxes; none where all are one
+    R: BallMatrix  # rows that span the rows of these, each with a column in which it alone is 1
+    # columns E_k, (n, 1), by which what is merged in it enters ẋ where it runs, and how large that is at most
     deviations: Sequence[tuple[BallMatrix, float]] = ()
+    # how x_d and u_ff depend on ŝ and η̂; None where no load is estimated, or all are constants at inputs
     estimates: OnEstimates | None = None
+    # matrices of plants that may run in place of it, they and their means; none where it runs itself
     corners: Sequence[Matrices] = ()
+    # columns z, (order, 1), of which what z is before the first tick of a run, or before that at which its first late
+    # input acts, is a mean, of any sign; None where that is not known
     starts: Sequence[BallMatrix] | None = None
+    # of the signals of the plant, in which forms are looked for; None where those of no file are known
     sizes: Sizes | None = None
-    few: int = 16
+    few: int = 16  # corners of boxes of flows, up to which each is looked at: what is found is a little better then
 
     @classmethod
     def of(
@@ -199,24 +178,14 @@ class SampledErrors:
             blocks=(n + m, *others[: self.predicted], *[1] * held, *[rest] * bool(rest)),
             sizes=self._sizes(self.sizes) if self.sizes is not None else (),
         )
-        return found if self.edges else replace(found, F=different(list(found.vertices)), U=(), V=())
+        return found if self.flows[1] else replace(found, F=different(list(found.vertices)), U=(), V=())
 
     @property
-    def edges(self) -> int:
-        """How many edges the boxes of flows have; 0 where there are few corners: each is looked at by itself then."""
-        count, edges = self._boxes
-        return edges if count * 2**edges > self.few else 0
-
-    @property
-    def flows(self) -> int:
-        """How many boxes there are, or corners."""
-        count, edges = self._boxes
-        return count if self.edges else count * 2**edges
-
-    @property
-    def _boxes(self) -> tuple[int, int]:
-        """How many boxes of flows there are, and the edges of each."""
-        return len(self.paces) * prod(map(len, self.free)), sum(len(one.edges) for one, *_ in self.free)
+    def flows(self) -> tuple[int, int]:
+        """How many boxes of flows there are, and the edges of each; few corners are a box each, without edges."""
+        count, edges = len(self.paces) * prod(map(len, self.free)), sum(len(one.edges) for one, *_ in self.free)
+        corners = count * 2**edges
+        return (count, edges) if corners > self.few else (corners, 0)
 
     def _sizes(self, of: Sizes) -> tuple[float, ...]:
         """Return the sizes of z: what moves, in a row of R, as much as all states; of an estimate what moves one."""
@@ -320,5 +289,5 @@ class SampledErrors:
 def _factors(edges: Sequence[BallMatrix], order: int) -> tuple[BallMatrix, BallMatrix]:
     """Return U and V with a column and a row for each edge u vᵀ."""
     pairs = [factors(D.centre) for D in edges]
-    U, V = (rational([pair[k] for pair in pairs], (len(pairs), order)) for k in (0, 1))
-    return BallMatrix(U.transpose()), BallMatrix(V)
+    U, V = (BallMatrix(rational([pair[k] for pair in pairs], (len(pairs), order))) for k in (0, 1))
+    return U.transpose(), V

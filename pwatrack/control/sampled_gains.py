@@ -22,23 +22,15 @@ class SampledGains:
     At tick k: x̂_k = x̂⁻_k + M (C x̂⁻_k − y_k) and u_k = K (x̂_k − x_d(t_k)) + u_ff,k; then x̂⁻_{k+1} is predicted from
     x̂_k under u_k, in steps of h / substeps, each with the affine law of the cell in which it begins. With E, x̂_k is
     moved by E (u_k − what was wanted) before that, as far as limits cut u_k off.
-
-    Attributes:
-        K: (m, n), in the unit of an input per unit of a state.
-        M: (N, q), for states and estimates of loads.
-        sample_time: h in s.
-        substeps: Of one prediction, at least 1.
-        delay: How many samples late inputs are.
-        jitter: By how much the time between two ticks may differ from h, in s.
-        E: A gain against windup, (N, m); (0, 0) where there is none.
     """
 
-    K: Array
-    M: Array
-    sample_time: float
-    substeps: int = 1
-    delay: int = 0
-    jitter: float = 0.0
+    K: Array  # (m, n), in the unit of an input per unit of a state
+    M: Array  # (N, q), for states and estimates of loads
+    sample_time: float  # h in s
+    substeps: int = 1  # of one prediction, at least 1
+    delay: int = 0  # how many samples late inputs are
+    jitter: float = 0.0  # by how much the time between two ticks may differ from h, in s
+    # a gain against windup, (N, m); (0, 0) where there is none
     E: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def passing(self, rate: float) -> float:

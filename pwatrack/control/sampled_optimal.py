@@ -84,11 +84,7 @@ def regulator(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Arr
 def kalman(task: Task, goal: Goal, h: float, *, for_all: bool = False) -> Array | None:
     """Return M of x̂⁺ = x̂ + M (C x̂ − y) for noise of density Q on x' and of variance R / h in each sample; or None.
 
-    Args:
-        task: (9) transposed: its A are those of the observer transposed, its B is Cᵀ.
-        goal: Of L.
-        h: In s.
-        for_all: Whether the covariance is a bound for all cells, whatever the switching, and not that of their mean.
+    The task is (9) transposed. The covariance is that of the mean of all cells, or a bound for all of them.
     """
     A, B, Q, R = _weighed(task, goal)
     turned, noise = _sampled(A.mean(axis=0), Q, h)

@@ -79,10 +79,7 @@ def longest(
 ) -> float | None:
     """Return the longest sample time (s) that is found, to 5 %, for which gains made of K and L for it are proved.
 
-    Args:
-        near: Gains whose sample time is looked at first; their delay and jitter are those of the others.
-        estimates: How x_d and u_ff depend on estimates.
-        sizes: Of signals, in which forms are looked for.
+    That of `near` is looked at first; its delay and jitter are those of the others.
     """
     too_long = dict[int, float]()  # for the fewest substeps and knots, and for the most
 
@@ -131,7 +128,8 @@ def _tried(errors: SampledErrors, most: int, unknowns: int) -> list[tuple[Sample
 
 def work(errors: SampledErrors) -> int:
     """Return how much one segment in each substep takes."""
-    return _inequalities(errors) * errors.order * (errors.order + errors.edges)
+    flows, edges = errors.flows
+    return 2 * errors.parts * flows * errors.order * (errors.order + edges)
 
 
 def _most(errors: SampledErrors) -> int:
@@ -139,13 +137,8 @@ def _most(errors: SampledErrors) -> int:
     return _MOST_WORK if errors.estimates is None else _MOST_WORK // 2
 
 
-def _inequalities(errors: SampledErrors) -> int:
-    """Return how many there are between ticks, for one segment in each substep."""
-    return 2 * errors.parts * errors.flows
-
-
 def _much(errors: SampledErrors) -> str:
-    return f"it takes {_inequalities(errors)} inequalities of order {errors.order}, which is too much"
+    return f"it takes {2 * errors.parts * errors.flows[0]} inequalities of order {errors.order}, which is too much"
 
 
 def _least_work(plant: PWASystem, gains: SampledGains) -> int:

@@ -15,12 +15,13 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
 from pwatrack.control.demand import Demand, Kept, exact
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.lmi.ellipsoid import Inner, InvariantEllipsoid, ellipsoid, from_start
+from pwatrack.lmi.ellipsoid import Inner, ellipsoid, from_start
 from pwatrack.lmi.exact import Certificate
 from pwatrack.model.normal_form import NormalForm
 from pwatrack.rational import fraction_of
@@ -136,12 +137,12 @@ def _shift(rows: Sequence[Form], kept: Kept, inner: Inner) -> Array:
     """Return the M (n − r, r) with which z is driven least: squares summed over cells, counted in the Q."""
     r, columns, q = sum(kept.degrees), len(kept.box), len(inner.Q)
     near = np.linalg.inv(np.linalg.cholesky(inner.Q))
-    widths = np.array([float(w) for w in kept.widths])
+    widths, rates = np.array([float(w) for w in kept.widths]), different([rate for _, rate, _ in rows])
 
     def driven(M: Array) -> Array:
         exact = BallMatrix.of(M, (q, r))
         S = moved(exact, kept, [Fraction(0)] * q)
-        found = [driving(rate, S, exact, kept.degrees).floats[:, :columns] for _, rate, _ in different_rates(rows)]
+        found = [driving(rate, S, exact, kept.degrees).floats[:, :columns] for rate in rates]
         return np.concatenate([(near @ X * widths).ravel() for X in found])
 
     start = driven(np.zeros((q, r)))
@@ -149,12 +150,6 @@ def _shift(rows: Sequence[Form], kept: Kept, inner: Inner) -> Array:
     steps = np.array([driven(unit) - start for unit in units]).T
     found = np.linalg.lstsq(steps, -start, rcond=1e-12)[0].reshape(q, r)
     return np.asarray(np.round(found, 12) + 0.0)
-
-
-def different_rates(rows: Sequence[Form]) -> list[Form]:
-    """Return cells with different η̇."""
-    kept = {id(X) for X in different([rate for _, rate, _ in rows])}
-    return [one for one in rows if id(one[1]) in kept]
 
 
 def acting(
@@ -185,7 +180,7 @@ def _tube(rows: Sequence[Form], kept: Kept, cell: int, eta: list[Fraction], inne
     q, r, p = len(eta), sum(kept.degrees), len(kept.degrees)
     M = zero(0, r) if inner is None else BallMatrix.of(_shift(rows, kept, inner), (q, r))
     S = moved(M, kept, eta)
-    forms = zero(0, 0) if inner is None else _forms(rows, S, range(r + p, r + p + q))
+    forms = zero(0, 0) if inner is None else _forms(rows, S, slice(r + p, r + p + q))
     rates = [driving(rate, S, M, kept.degrees) for _, rate, _ in rows]
     matrices = different([X.part(range(q), range(r + p, r + p + q)) for X in rates])
     sizes, parts = [Fraction(0)] * forms.shape[0], list[dict[str, Any]]()
@@ -195,7 +190,8 @@ def _tube(rows: Sequence[Form], kept: Kept, cell: int, eta: list[Fraction], inne
             return None
         above_ = [exact(np.nextafter(each, np.inf)) for each in found.sizes]  # whose decimals are not below it
         sizes = [total + each * size for total, each in zip(sizes, above_, strict=True)]
-        parts.append({"of": of, "k": k, "sizes": [text(v) for v in above_]} | _stored(found))
+        Q = {"integers": [list(row) for row in found.integers], "exponents": list(found.exponents)}
+        parts.append({"of": of, "k": k, "sizes": [text(v) for v in above_], "a": text(exact(found.a)), "Q": Q})
     proof = {
         "box": kept.texts,
         "start": [text(v) for v in kept.start],
@@ -208,22 +204,14 @@ def _tube(rows: Sequence[Form], kept: Kept, cell: int, eta: list[Fraction], inne
     return _Tube(S=S, widths=[*kept.widths, *sizes[:q]], forms=forms, sizes=sizes, proof=proof)
 
 
-def _forms(rows: Sequence[Form], S: BallMatrix, z: range) -> BallMatrix:
+def _forms(rows: Sequence[Form], S: BallMatrix, z: slice) -> BallMatrix:
     """Return rows of z that are to be bounded: each entry, and what u_ff and the bounds of cells have of it."""
-    found = {tuple(row): None for row in np.eye(len(z)).tolist()}
-    for u_ff, _, inside in rows:
-        for row in (
-            *(u_ff @ S).floats[:, z.start : z.stop].tolist(),
-            *(inside @ S).floats[:, z.start : z.stop].tolist(),
-        ):
-            if np.count_nonzero(row) > 1 and tuple(-v for v in row) not in found:
-                found[tuple(v + 0.0 for v in row)] = None
-    return BallMatrix.of([*found], (len(found), len(z)))
-
-
-def _stored(found: InvariantEllipsoid) -> dict[str, Any]:
-    Q = {"integers": [list(row) for row in found.integers], "exponents": list(found.exponents)}
-    return {"a": text(exact(found.a)), "Q": Q}
+    q = z.stop - z.start
+    found = {tuple(row): None for row in np.eye(q).tolist()}
+    for row in (row for u_ff, _, inside in rows for X in (u_ff, inside) for row in (X @ S).floats[:, z].tolist()):
+        if np.count_nonzero(row) > 1 and tuple(-v for v in row) not in found:
+            found[tuple(v + 0.0 for v in row)] = None
+    return BallMatrix.of([*found], (len(found), q))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,18 +257,21 @@ class _Tube:
         u_ff_ends = [[text(exact(a)), text(exact(b))] for a, b in zip(low, high, strict=True)]
         return Demand(kept=kept, low=low, high=high, proof=self.proof | {"cells": cells, "u_ff": u_ff_ends})
 
+    def _inequalities(self, bounds: BallMatrix) -> tuple[Array, Array, Array]:
+        """Return the bounds as rows and right sides, for x in widths, each in its size; and these sizes."""
+        active, scale = bounds.floats, np.array([float(w) for w in self.widths])
+        size = np.abs(active) @ np.append(scale, 1.0)
+        size[size == 0] = 1.0
+        return -active[:, :-1] * scale / size[:, None], active[:, -1] / size, size
+
     def _weights(self, row: BallMatrix, bounds: BallMatrix) -> list[list[float]]:
         """Return λ for which the bound of a row in a cell is least, about, and the same in fewer digits; and 0."""
-        from scipy.optimize import linprog
-
-        c, scale, active = row.floats[0, :-1], np.array([float(w) for w in self.widths]), bounds.floats
-        if not len(active):
+        rows, most, size = self._inequalities(bounds)
+        if not len(rows):
             return [[]]
-        rows, size = active[:, :-1] * scale, np.abs(active) @ np.append(scale, 1.0)
-        size[size == 0] = 1.0
-        unit = float(np.abs(c * scale).sum()) or 1.0
-        found = linprog(-c * scale / unit, A_ub=-rows / size[:, None], b_ub=active[:, -1] / size, bounds=(-1, 1))
-        nothing = [0.0] * len(active)
+        c, nothing = row.floats[0, :-1] * np.array([float(w) for w in self.widths]), [0.0] * len(rows)
+        unit = float(np.abs(c).sum()) or 1.0
+        found = scipy.optimize.linprog(-c / unit, A_ub=rows, b_ub=most, bounds=(-1, 1))
         if found.status != 0:
             return [nothing]
         weights = _short(-found.ineqlin.marginals * unit / size)
@@ -288,16 +279,12 @@ class _Tube:
 
     def _unmet(self, bounds: BallMatrix) -> list[float] | None:
         """Return λ ≥ 0 that shows that not all rows are positive anywhere in the box; None where they may be."""
-        from scipy.optimize import linprog
-
-        active, scale = bounds.floats, np.array([float(w) for w in self.widths])
-        if not len(active):
+        rows, most, size = self._inequalities(bounds)
+        if not len(rows):
             return None
-        size = np.abs(active) @ np.append(scale, 1.0)
-        size[size == 0] = 1.0
-        rows = np.column_stack([-active[:, :-1] * scale / size[:, None], -np.ones(len(active))])
-        ends = [*[(-1.0, 1.0)] * len(scale), (0.0, None)]
-        least = linprog(np.eye(1, len(ends), len(ends) - 1)[0], A_ub=rows, b_ub=active[:, -1] / size, bounds=ends)
+        rows, ends = np.column_stack([rows, -np.ones(len(rows))]), [*[(-1.0, 1.0)] * len(self.widths), (0.0, None)]
+        objective = np.eye(1, len(ends), len(ends) - 1)[0]
+        least = scipy.optimize.linprog(objective, A_ub=rows, b_ub=most, bounds=ends)
         if least.status != 0 or not least.fun or least.fun < _MISSED:
             return None
         weights = _short(-least.ineqlin.marginals / size)

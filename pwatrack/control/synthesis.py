@@ -103,15 +103,12 @@ def gain(task: Task, goal: Goal = DEFAULT, within: InputConstraint | None = None
 
     Where only a rate is asked, or nothing, the gain minimises a quadratic cost (of the system with the rate
     added to A). Its weights are one in sizes, Bryson's rule: Q = diag(1 / size²) for the states and R = diag(1 / size²)
-    for the inputs; for the observer these are densities of noise on states and outputs, see `Sizes.dual`. Such a gain
-    is 0 only where the input does nothing. Where the solver finds no proof for it, the gain of the largest margin is
-    taken, and where there is none lighter weights are tried.
+    for the inputs; for the observer these are densities of noise on states and outputs, see `Sizes.dual`. Where inputs
+    are to keep within bounds, and this gain does not, it is that of the least worst cost from these errors among those
+    that do; where none is found, the one without bounds.
 
-    Where inputs are to keep within bounds, a gain of least cost that does not is replaced by the one whose worst cost
-    from these errors is least among those that do, and the fastest gain is one of those. Where none is found, it is the
-    one without bounds: from which errors it keeps them is said by `claims.limits`. Other goals say themselves what the
-    gain is to be. Raises Infeasible if no gain exists, proved; InvalidSpec if the largest rate is asked where every
-    rate can be reached; Undecided if no gain with a proof is found otherwise.
+    Raises Infeasible if no gain exists, proved; InvalidSpec if the largest rate is asked where every rate can be
+    reached; Undecided if no gain with a proof is found otherwise.
     """
     search = Search(task)
     match goal:
@@ -155,15 +152,11 @@ def given(task: Task, K: Array) -> tuple[Array, Found]:
 
 
 class Search:
-    """The search for one gain. Each way returns a gain with its proof, or None.
-
-    `best_margin` is the best that was found for (8), where A and P have size 1.
-    """
+    """The search for one gain. Each way returns a gain with its proof, or None."""
 
     def __init__(self, task: Task) -> None:
-        self.task = task
-        self.candidates = Candidates(task)
-        self.best_margin = -np.inf
+        self.task, self.candidates = task, Candidates(task)
+        self.best_margin = -np.inf  # that was found for (8), where A and P have size 1
         self._refutations = dict[float, Refutation | None]()
 
     @cached_property
@@ -258,10 +251,8 @@ class Search:
         """Prove a gain in such coordinates, with as many digits as it needs, if it reaches a rate."""
         if not np.isfinite(self.task.closed(K)).all():
             return None
-        digits = DIGITS
-        while digits < _DIGITS and not self.task.norm(K) < _ROUNDED * 10.0**digits:
-            digits += 1
-        printed = short(K, digits)
+        enough = (k for k in range(DIGITS, _DIGITS) if self.task.norm(K) < _ROUNDED * 10.0**k)
+        printed = short(K, next(enough, _DIGITS))
         closed = different(self.task.exactly_closed(printed))
         start = np.eye(len(K.T)) if start is None else start
         certificate = precise_certificate(at, self.task.role, closed, start)
@@ -309,9 +300,8 @@ class Search:
             act = float(np.linalg.norm(at.input(self.task.B), "nuc")) * at.speed / self.task.gain_unit
             fast = float(bound * act - traces.max()) / self.task.A.shape[1]
         best, slow = _fastest(best, slow, fast, lambda rate: self._within(rate, bound))
-        small = self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None
-        K, certificate = small or best
-        return self.proved(Candidate(K=K, P=certificate.P), 0.0)
+        best = (self._within(slow * (1 - _ENDED)) if np.isinf(bound) else None) or best
+        return self.proved(Candidate(K=best[0], P=best[1].P), 0.0)
 
     def cheapest_within(
         self, within: InputConstraint, found: Proved, rate: float, bound: float = np.inf

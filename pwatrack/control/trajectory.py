@@ -11,11 +11,10 @@ from scipy.linalg import expm
 
 from pwatrack.arrays import EPS, TINY, Array, IntArray
 from pwatrack.control.generator import TrajectoryGenerator
-from pwatrack.errors import InvalidSpec, Problem, Remedy, Subject, Way
+from pwatrack.errors import Problem
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 
-ALLOWED = 1e-9  # of the size of the reference: as exact as everything else that is shown
 _MOST_DOUBLINGS = 60  # of a fraction of the fastest time constant: no plant has slower ones
 
 
@@ -73,6 +72,7 @@ class DesiredTrajectory:
     signs: IntArray  # side of each of these that a cell is on, 0 where that does not bound it, (l, k)
     # s' = turns s that x_d is made for where s turns otherwise, by the residual of what is played back, (l, S, S)
     turns: Array | None = None
+    generator: TrajectoryGenerator | None = None  # the filter, where it is (15): for output tracking only
     eta0: Array | None = None  # η̂(0) where it is fixed by the trajectory, else None
     preview: NoncausalTrajectory | None = None  # of the η that x_d is made of, if worked out beforehand
     until: float | None = None  # up to when, in s, (3) was decided for x_d in closed form; None: for all times
@@ -125,6 +125,7 @@ def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> Desired
     guards[:, :p] += boundary.H[:, r:]
     guards[:, -1] += boundary.h
     return DesiredTrajectory(
+        generator=generator,
         exosystem=y_d,
         names=form.eta_names,
         to_eta=form.T[0, r:].reshape(n - r, n),
@@ -134,34 +135,6 @@ def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> Desired
         u_ff=u_ff,
         guards=guards,
         signs=boundary.signs,
-    )
-
-
-def check_timing(
-    plant: PWASystem,
-    K: Array,
-    trajectory: DesiredTrajectory,
-    *,
-    outputs: Array,
-    smooth: tuple[float, int] | None = None,
-    subject: Subject = (),
-) -> None:
-    """Refuse a reference that changes so fast that the rounding of its break times can be seen.
-
-    `smooth` is the time (s) over which corners were rounded, with how many derivatives of the reference reach u_ff:
-    then the shortest rounding that would do is said.
-    """
-    worst, time = timing_error(plant, K, trajectory, outputs=outputs)
-    if worst <= ALLOWED:
-        return
-    shortest = None if smooth is None else smooth[0] * (worst / ALLOWED) ** (1 / smooth[1])
-    raise InvalidSpec(
-        f"the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
-        f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
-        f"up to {ALLOWED:g} is taken",
-        subject=subject,
-        hint="round its corners over a longer time",
-        remedy=None if shortest is None else Remedy(Way.LONGER_ROUNDING, (shortest,)),
     )
 
 
@@ -187,9 +160,8 @@ def timing_error(plant: PWASystem, K: Array, trajectory: DesiredTrajectory, *, o
     breaks = np.unique([0.0, *(reset.t for reset in system.resets)])
     wanted = system.states(breaks) @ (outputs @ rows[0]).T
     swing, most = np.ptp(wanted, axis=0), np.abs(wanted).max(axis=0)
-    size = np.where(
-        swing > EPS * most, swing, np.where(most > 0, most, np.inf)
-    )  # of one that rests: where, if not at 0
+    rests = np.where(most > 0, most, np.inf)  # of one that rests its size is where, if not at 0
+    size = np.where(swing > EPS * most, swing, rests)
     with np.errstate(all="ignore"):
         relative = _largest(plant, K, outputs, np.array(jumps).T) / size[:, None]
     relative = np.where(np.isnan(relative), 0.0, relative)  # nothing off, and nothing wanted

@@ -53,14 +53,10 @@ class Differences:
 
 @dataclass(frozen=True)
 class Box:
-    """All middle + Σ ε_k D_k with |ε_k| ≤ 1.
+    """All middle + Σ ε_k D_k with |ε_k| ≤ 1."""
 
-    Attributes:
-        middle: (j, k).
-        edges: D_k, (j, k) each, of rank 1, the first entry of each that is not 0 above 0, sorted.
-    """
-
-    middle: BallMatrix
+    middle: BallMatrix  # (j, k)
+    # D_k, (j, k) each, of rank 1, the first entry of each that is not 0 above 0, sorted
     edges: tuple[Rational, ...] = ()
 
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> "Box":
@@ -103,17 +99,8 @@ def boxes(matrices: Sequence[BallMatrix]) -> list[Box]:
     most = [max(each) for each in zip(*(X.entries() for X in radii), strict=True)]
     radius = flint.fmpq_mat(first.nrows(), first.ncols(), most) if radii else None
     middle = first + sum((X * number(_HALF) for X in edges), first * 0)
-    return [Box(BallMatrix(middle, radius), tuple(sorted(map(_half, edges), key=_key)))]
-
-
-def _half(X: Rational) -> Rational:
-    """Return half of an edge, with a sign of its own."""
-    sign = next(v for v in X.entries() if v != 0)
-    return X * number(_HALF if sign > 0 else -_HALF)
-
-
-def _key(X: Rational) -> list[Fraction]:
-    return [fraction_of(v) for v in X.entries()]
+    halves = [X * number(_HALF if next(filter(None, X.entries())) > 0 else -_HALF) for X in edges]
+    return [Box(BallMatrix(middle, radius), tuple(sorted(halves, key=lambda X: [*X.entries()])))]
 
 
 def differences(matrices: Sequence[BallMatrix]) -> list[Box]:
@@ -138,7 +125,7 @@ def outermost(matrices: Sequence[BallMatrix]) -> list[BallMatrix]:
     if any(X.radius is not None for X in found):
         return found
     points = [X.centre.entries() for X in found]
-    return [X for k, X in enumerate(found) if not _between(points, k)]
+    return [X for X, point in zip(found, points, strict=True) if not _between(points, point)]
 
 
 def outermost_cells(plant: PWASystem) -> list[BallMatrix]:
@@ -146,13 +133,10 @@ def outermost_cells(plant: PWASystem) -> list[BallMatrix]:
     return outermost([plant.exact.A[i] for i in plant.hull])
 
 
-def _between(points: Sequence[Sequence[Rational]], k: int) -> bool:
-    """Say whether a point is between two others: from it they lie in opposite directions."""
+def _between(points: Sequence[Sequence[Rational]], point: Sequence[Rational]) -> bool:
+    """Say whether one of some different points is between two others: from it they lie in opposite directions."""
     seen = set[tuple[Fraction, ...]]()
-    for j, point in enumerate(points):
-        if j == k:
-            continue
-        change = [v - w for v, w in zip(point, points[k], strict=True)]
+    for change in ([v - w for v, w in zip(other, point, strict=True)] for other in points if other is not point):
         size = abs(next(v for v in change if v != 0))
         direction = tuple(fraction_of(v / size) for v in change)
         if tuple(-v for v in direction) in seen:

@@ -32,8 +32,7 @@ class Words:
         plant = self.plant
         of = {"output": plant.tracked_names, "measured": plant.outputs, "input": plant.inputs}
         named = of.get(kind, plant.states)
-        loads = {} if plant.loads is None else dict(zip(plant.loads.where, plant.loads.names, strict=True))
-        name = named[k] if k < len(named) else loads[k - len(named)]
+        name = named[k] if k < len(named) else self._loads[k - len(named)]
         texts = {"input": f"{name} - {name}_ff", "estimate": f"{name}_hat - {name}"}
         return texts.get(kind, f"{name} - {name}_d"), self.units.get(name, "")
 
@@ -61,9 +60,13 @@ class Words:
         if k < 2 * n:
             name = plant.states[k % n]
             return "start", f"{name} - {name}_d" if k < n else f"{name}_hat - {name}", units.get(name, "")
-        assert plant.loads is not None
-        name = dict(zip(plant.loads.where, plant.loads.names, strict=True))[k - 2 * n]
+        name = self._loads[k - 2 * n]
         return "load", name, units.get(name, "")
+
+    @property
+    def _loads(self) -> Mapping[int, str]:
+        loads = self.plant.loads
+        return {} if loads is None else dict(zip(loads.where, loads.names, strict=True))
 
     def declared(self, channel: Channel) -> bool:
         """Whether the simulation has this disturbance or noise."""

@@ -204,8 +204,8 @@ def _plant_variables(
 ) -> list[ModelVariable]:
     start, units = spec.scenario.initial.plant, spec.problem.units
     if isinstance(start, Steady):
-        trajectory, generator = desired_trajectory(spec, False)
-        start = plant_start(spec, trajectory, generator, trajectory.eta0)
+        trajectory = desired_trajectory(spec, False)
+        start = plant_start(spec, trajectory, trajectory.eta0)
     start = np.zeros(len(plant.states)) if start is None else np.asarray(start, dtype=np.float64)
     words = {name: "measured" if name in plant.outputs else "tracked" for name in outputs}
     cells = ", ".join(f"{k} {name}" for k, name in enumerate(plant.cell_names[:_FEW_CELLS]))

@@ -35,11 +35,7 @@ _NOT_FOUND = "no ellipsoid was found that the internal states stay in"
 
 
 def room_within_limits(
-    spec: Spec,
-    trajectory: DesiredTrajectory,
-    generator: TrajectoryGenerator | None,
-    sizes: Sizes,
-    set_points: Demand | None = None,
+    spec: Spec, trajectory: DesiredTrajectory, sizes: Sizes, set_points: Demand | None = None
 ) -> Headroom | None:
     """Return what the feedforward takes of the limits of the inputs; None where there are none.
 
@@ -48,7 +44,7 @@ def room_within_limits(
     limits, names = spec.scenario.conditions.limits, spec.problem.plant.inputs
     if limits is None:
         return None
-    room = replace(_room(spec, trajectory, generator, sizes, limits, trajectory.u_ff), set_points=set_points)
+    room = replace(_room(spec, trajectory, sizes, limits, trajectory.u_ff), set_points=set_points)
     at = [("simulation", "actuator", "limits", name) for name in names]
     _check(spec, room, [f"the reference takes {name}" for name in names], at, "take a stronger drive")
     return room
@@ -65,9 +61,8 @@ def room_of_signals(spec: Spec, controller: ProvedController) -> SignalRoom | No
         return None
     names, forms = tuple(limits), tuple(words.form(name) for name in limits)
     rows, trajectory = state_rows(plant, forms), controller.trajectory
-    room = _room(
-        spec, trajectory, controller.generator, controller.sizes, np.array(list(limits.values())), rows @ trajectory.x_d
-    )
+    ends = np.array(list(limits.values()))
+    room = _room(spec, trajectory, controller.sizes, ends, rows @ trajectory.x_d)
     itself = [kind == "output" for kind, _ in forms]
     known = controller.running is plant and plant.loads is None
     said = [f"the reference goes to {name}" if known or own else "" for name, own in zip(names, itself, strict=True)]
@@ -75,40 +70,28 @@ def room_of_signals(spec: Spec, controller: ProvedController) -> SignalRoom | No
     return SignalRoom(names=names, forms=forms, room=room, acting=declared(spec, controller))
 
 
-def _room(
-    spec: Spec,
-    trajectory: DesiredTrajectory,
-    generator: TrajectoryGenerator | None,
-    sizes: Sizes,
-    limits: Array,
-    gains: Array,
-) -> Headroom:
+def _room(spec: Spec, trajectory: DesiredTrajectory, sizes: Sizes, limits: Array, gains: Array) -> Headroom:
     """Return what signals along x_d take of their limits, (m, 2), and with which errors a run may begin."""
     plant, system, duration = spec.problem.plant, trajectory.exosystem, spec.scenario.duration
     given = trajectory.eta0
-    if given is None and generator is not None:
-        given = generator_start(spec, trajectory, generator)
+    if given is None and trajectory.generator is not None:
+        given = generator_start(spec, trajectory)
     if not trajectory.names or w_alone(gains, trajectory.rate.shape[1]):  # it has no past
         duration = system.period or duration
     peak = desired_peak(plant, trajectory, gains, given, duration)
-    steady = _steady(trajectory, generator)
+    steady = _steady(trajectory)
     lasting = peak if steady is None else desired_peak(plant, trajectory, gains, steady, system.period or duration)
     if lasting is not None:
         peak = None if peak is None else peak.with_also(lasting)
-    x = plant_start(spec, trajectory, generator, trajectory.eta0)
+    x = plant_start(spec, trajectory, trajectory.eta0)
     starts = (*Starts.within(sizes), *starts_of(spec, trajectory, x, given, sizes))
     ends = None if steady is None or given is None else (given, steady)
-    ever = peak is not None and _goes_on(trajectory, generator, gains, peak, ends, spec.scenario.duration)
+    ever = peak is not None and _goes_on(trajectory, gains, peak, ends, spec.scenario.duration)
     return Headroom(limits=limits, lasting=lasting, peak=peak, ever=ever, starts=starts)
 
 
 def _goes_on(
-    trajectory: DesiredTrajectory,
-    generator: TrajectoryGenerator | None,
-    all_gains: Array,
-    peak: Peak,
-    ends: tuple[Array, Array] | None,
-    duration: float,
+    trajectory: DesiredTrajectory, all_gains: Array, peak: Peak, ends: tuple[Array, Array] | None, duration: float
 ) -> bool:
     """Say whether signals along x_d, as `desired_peak` has them, are within their peak after the run too.
 
@@ -116,7 +99,7 @@ def _goes_on(
     matters, if by the P of (17) that is so close to its steady state by then that they cannot differ by what the peak
     is known to, or if it rests from the start on, inside of a cell. `ends` are η̂(0) and that of the steady state.
     """
-    system, p = trajectory.exosystem, trajectory.rate.shape[1]
+    system, p, generator = trajectory.exosystem, trajectory.rate.shape[1], trajectory.generator
     if system.end is not None or any(reset.t > duration for reset in system.resets):
         return False
     if not p or w_alone(all_gains, p):
@@ -141,12 +124,12 @@ def _goes_on(
     return bool((left <= OFF * np.maximum(np.abs(peak.low), np.abs(peak.high))).all())
 
 
-def _steady(trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array | None:
+def _steady(trajectory: DesiredTrajectory) -> Array | None:
     """Return the η̂(0) that forgets nothing, where the generator has one."""
-    if generator is None or not trajectory.names:
+    if trajectory.generator is None or not trajectory.names:
         return None
     try:
-        return steady_start(trajectory, generator)
+        return steady_start(trajectory, trajectory.generator)
     except (InvalidSpec, OutsideTheory):  # the reference begins otherwise
         return None
 
@@ -172,26 +155,24 @@ def _beyond_text(what: str, needed: float, limit: float, side: int, unit: str, w
     return f"{what} = {needs}{when}, {'above its upper' if side else 'below its lower'} limit, {ends}"
 
 
-def demand_of(
-    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, content: Any = None
-) -> Demand | None:
+def demand_of(spec: Spec, trajectory: DesiredTrajectory, content: Any = None) -> Demand | None:
     """Return what set-points take of the inputs, as a certificate tells it or searched and proved; None without limits.
 
     Raises InvalidSpec if that has no end as no range is given, OutsideTheory if it is more than limits of inputs, for a
     plant without internal states, and ValueError if what was told is of other limits.
     """
-    conditions, system = spec.scenario.conditions, trajectory.exosystem
+    conditions, system, generator = spec.scenario.conditions, trajectory.exosystem, trajectory.generator
     if conditions.pace is None or conditions.set_range is None or generator is None or generator.played_back:
         return None
     if max(generator.form.degrees) > conditions.pace.shape[1]:
         return None  # `program` refuses it
-    eta, limits = generator_start(spec, trajectory, generator), conditions.limits
+    eta, limits = generator_start(spec, trajectory), conditions.limits
     kept = Kept.of(generator.form, conditions.pace, conditions.set_range, system(0.0), eta)
     if limits is not None and (open_ := unsaid(generator.form, kept)):
         names = " and ".join(open_)
         text = f"no range of {names} is given: what it takes of the inputs, which have limits, has no end"
         hint = f"say what set-points may be, {{{open_[0]}: {{range: [low, high], …}}}}"
-        raise InvalidSpec(Problem(message=text, subject=(ProblemPart.SET_POINTS,), hint=hint))
+        raise InvalidSpec(text, subject=(ProblemPart.SET_POINTS,), hint=hint)
     if content is None:
         found = demand(generator, kept)
     elif content["set_points"] is None:
@@ -210,9 +191,8 @@ def _check_demand(spec: Spec, generator: TrajectoryGenerator, found: Demand, lim
     for k, side in beyond:
         unit, ends = spec.problem.units.get(names[k], ""), (found.low, found.high)[side]
         message = _beyond_text(f"set-points may take {names[k]}", ends[k], limits[k, side], side, unit)
-        hint = (
-            f"it is within with {' or '.join(would)}" if would else "no limit of them by itself would do: lower several"
-        )
+        within = f"it is within with {' or '.join(would)}"
+        hint = within if would else "no limit of them by itself would do: lower several"
         problems.append(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
     if problems:
         raise OutsideTheory(*problems)

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix, different, stack
 from pwatrack.claims.robust import Robust
 from pwatrack.control.candidates import Candidates
@@ -80,30 +79,25 @@ def how_far(spec: Spec, evidence: Impossibility, progress: Callable[[str], objec
         progress("a slower rate")
         inequality.allow(min(_EACH, inequality.proofs // 3))
         rate = inequality.largest_rate()
-    quadratic, higher = list[Proved](), list[Proved]()
-    entering = list(inequality.parameters())
+    proved, entering = list[Proved](), list(inequality.parameters())
     for name, now in entering:
         progress(f"parameter {name}")
         inequality.allow(max(_EACH, inequality.proofs // len(entering)))
         found = inequality.nearest(name, now)
         if found is None:
             continue
-        quadratic.append(Proved(parameter=name, now=now, value=found, degree=2))
+        proved.append(Proved(parameter=name, now=now, value=found, degree=2))
         nearer = inequality.polynomial_between(name, now, found)
-        higher += [] if nearer is None else [Proved(parameter=name, now=now, value=nearer[0], degree=nearer[1])]
-    parameters = (*sorted(quadratic, key=_distance), *sorted(higher, key=_distance))
+        proved += [] if nearer is None else [Proved(parameter=name, now=now, value=nearer[0], degree=nearer[1])]
+    proved.sort(key=lambda one: (one.degree > 2, abs(one.value - one.now) / (abs(one.now) or 1.0)))
     return HowFar(
         claim=evidence.claim,
-        parameters=parameters,
+        parameters=tuple(proved),
         rate=rate,
         asked=evidence.rate,
         ended=inequality.ended,
         entering=bool(entering),
     )
-
-
-def _distance(found: Proved) -> float:
-    return abs(found.value - found.now) / (abs(found.now) or 1.0)
 
 
 class _Inequality:
@@ -159,7 +153,7 @@ class _Inequality:
         seen = dict[float, int]()
 
         def proved(value: float) -> bool:
-            M = self._matrices(name, value) if self._paid() else None
+            M = self._of(self._plant(name, value)) if self._paid() else None
             proof = None if M is None else _polynomial(self._role, M)
             if proof is not None:
                 seen[value] = proof.degree
@@ -170,10 +164,9 @@ class _Inequality:
 
     def largest_rate(self) -> float | None:
         """Return the largest rate that is proved, with as many digits as `nearest` gives."""
-        task = Task.of(self._spec.problem.plant, self._role, sizes=self._sizes)
 
         def proved(rate: float) -> bool:
-            return self._paid() and _some_gain(task, _ROOM * rate) is not None
+            return self._paid() and self._some_gain(self._spec.problem.plant, rate)
 
         slow = _short(self._rate / 2)
         while not proved(slow):
@@ -193,18 +186,26 @@ class _Inequality:
         )[0]
 
     def _proved(self, name: str, value: float) -> bool:
-        if not self._paid():
+        plant = self._plant(name, value) if self._paid() else None
+        if plant is None or not self._fixed:
+            return plant is not None and self._some_gain(plant, self._rate)
+        M = self._of(plant)
+        return M is not None and bool(_common_P(self._role, M) or (self._any_sign and prove_dichotomy(self._role, M)))
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # likewise
+    def _some_gain(self, plant: PWASystem, rate: float) -> bool:
+        """Say whether a gain is proved to reach a rate (1/s), of whatever size."""
+        task, rate = Task.of(plant, self._role, sizes=self._sizes), _ROOM * rate
+        candidates = Candidates(task)
+        if seems_impossible(candidates.A, task.B, rate=rate):
             return False
-        if self._fixed:
-            M = self._matrices(name, value)
-            if M is None:
-                return False
-            return bool(_common_P(self._role, M) or (self._any_sign and prove_dichotomy(self._role, M)))
-        plant = self._plant(name, value)
-        return (
-            plant is not None
-            and _some_gain(Task.of(plant, self._role, sizes=self._sizes), _ROOM * self._rate) is not None
-        )
+        for candidate in candidates.largest_margins(rate):
+            found = None if candidate.P is None else task.reached(candidate.K, candidate.P, rate)
+            if found is not None:
+                proof = prove_exactly(task.role, different(task.exactly_closed(candidate.K)), found.P, found.rate)
+                if proof is not None and proof.rate >= rate:
+                    return True
+        return False
 
     def _paid(self) -> bool:
         """Count one more trial; say whether it may be made."""
@@ -218,12 +219,10 @@ class _Inequality:
         except PwatrackError:  # no plant of class (1)
             return None
 
-    def _matrices(self, name: str, value: float) -> list[BallMatrix] | None:
+    def _of(self, plant: PWASystem | None) -> list[BallMatrix] | None:
         """Return the M_i of (17), or of (8) or (9) with the gain that is given; None where there are none."""
-        plant = self._plant(name, value)
-        return None if plant is None else self._of(plant)
-
-    def _of(self, plant: PWASystem) -> list[BallMatrix] | None:
+        if plant is None:
+            return None
         if self._role is not GENERATOR:
             task = Task.of(plant, self._role, sizes=self._sizes)
             if self._gain is not None:
@@ -241,10 +240,9 @@ class _Inequality:
 
     def _enters(self, name: str, now: float) -> bool:
         for value in (now * 1.01, now * 0.99) if now else (1e-3, -1e-3):
-            M = self._matrices(name, value)
+            M = self._of(self._plant(name, value))
             if M is not None and self._now is not None:
-                pairs = zip(M, self._now, strict=False)
-                return len(M) != len(self._now) or not all(bool(X.centre == Y.centre) for X, Y in pairs)
+                return [X.centre for X in M] != [Y.centre for Y in self._now]
         return False
 
 
@@ -269,21 +267,6 @@ def _polynomial(role: Role, M: Sequence[BallMatrix]) -> PolynomialProof | None:
         return None
     found = best_polynomial(A, tried[-1], near_polynomial(A), trials=1)
     return None if found is None else prove_polynomial(role, exact, found)
-
-
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _some_gain(task: Task, rate: float) -> Array | None:
-    """Return a gain K, or Lᵀ, that is proved to reach a rate (1/s), of whatever size; None where none is found."""
-    candidates = Candidates(task)
-    if seems_impossible(candidates.A, task.B, rate=rate):
-        return None
-    for candidate in candidates.largest_margins(rate):
-        found = None if candidate.P is None else task.reached(candidate.K, candidate.P, rate)
-        if found is not None:
-            proof = prove_exactly(task.role, different(task.exactly_closed(candidate.K)), found.P, found.rate)
-            if proof is not None and proof.rate >= rate:
-                return candidate.K
-    return None
 
 
 @dataclass(frozen=True, kw_only=True)

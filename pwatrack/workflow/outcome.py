@@ -1,5 +1,6 @@
 """A simulated loop, and how it ended: it tracks, is off, grows without bound, or contradicts its own proof."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -120,9 +121,9 @@ class RunMonitor:
         if self._along is not None:
             self._along.see(block.trace)
         for name, error, bound, rounding in () if self._broken else self._bounded(block):
-            above = np.flatnonzero(error > bound + rounding)
-            if len(above) and not self._broken:
-                k = int(above[0])
+            above = error > bound + rounding
+            if above.any() and not self._broken:
+                k = int(above.argmax())
                 self._broken = (
                     f"above its own proved bound: {name} is {error[k]:.3g} at t = {block.t[k]:.9g} s, where at most "
                     f"{bound[k]:.3g} is proved: numerical error is suspected"
@@ -172,12 +173,12 @@ class RunMonitor:
 
     def _disturbed(self, trace: Trace) -> None:
         conditions, at, z = self._loop.conditions, self._loop.at, trace.z
-        signals: list[tuple[Literal["disturbance", "noise"], Array]] = []
+        signals: dict[Literal["disturbance", "noise"], Array] = {}
         if conditions.disturbance is not None:
-            signals.append(("disturbance", z[:, at.d] @ conditions.disturbance.Q.T))
+            signals["disturbance"] = z[:, at.d] @ conditions.disturbance.Q.T
         if conditions.noise is not None:
-            signals.append(("noise", z[:, at.v]))
-        for kind, values in signals:
+            signals["noise"] = z[:, at.v]
+        for kind, values in signals.items():
             for k, size in enumerate(np.abs(values).max(axis=0).tolist()):
                 self._acting[kind, k] = max(size, self._acting.get((kind, k), 0.0))
 
@@ -205,8 +206,8 @@ class RunMonitor:
                 last, expected = (self._with_unit(v, name) for v in (self._largest[9, k], self._expected[k]))
                 text = (
                     f"the error grows: |{name} − {name}_d| up to {last} at the samples in the last tenth of the time, "
-                    f"more than at any before; reference and start are up to {expected} there"
                 )
+                text += f"more than at any before; reference and start are up to {expected} there"
                 return Outcome(kind="grows", text=text)
         return None
 
@@ -267,10 +268,8 @@ class RunMonitor:
     def _norms(self, figures: Figures) -> tuple[str, str]:
         """Return the largest norm of the error in the last tenth of the time, and of all, as text."""
         unit = self._units.get(self._names[0], "") if len(self._names) == 1 else "sizes"
-        known = self._rounded
-        of = (figures.final_error, figures.largest_error)
-        said = (f"{size:.3g} {unit}".rstrip() for size in (max(value, known) for value in of))
-        final, largest = (f"{text} (rounding)" * (v < known) or text for text, v in zip(said, of, strict=True))
+        known, of = self._rounded, (figures.final_error, figures.largest_error)
+        final, largest = (f"{max(v, known):.3g} {unit}".rstrip() + " (rounding)" * (v < known) for v in of)
         return final, largest
 
     @property
@@ -299,11 +298,8 @@ class RunMonitor:
 def _balanced(loop: ClosedLoop) -> tuple[Array, float]:
     """Return the size of each state in which the loop is balanced, (n,), and the loop's norm in these units in 1/s."""
     plant, design = loop.controller.plant, loop.controller.design
-    F = (
-        np.abs(plant.A).max(axis=0)
-        + np.abs(plant.B) @ np.abs(design.K)
-        + np.abs(design.L[: len(plant.B)]) @ np.abs(plant.C)
-    )
+    F = np.abs(plant.A).max(axis=0) + np.abs(plant.B) @ np.abs(design.K)
+    F += np.abs(design.L[: len(plant.B)]) @ np.abs(plant.C)
     balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
     return np.asarray(scale), float(np.linalg.norm(balanced, 2))
 
@@ -332,7 +328,7 @@ class SimulatedLoop:
         fastest = float(np.abs(np.linalg.eigvals(S).imag).max(initial=0.0)) if S.size else 0.0
         remarks = list(dict.fromkeys(self.spec.problem.plant.remarks + self.loop.plant.remarks))
         remarks += reference_remarks(self.spec, self.controller.form)
-        remarks += start_remarks(self.spec, self.controller.trajectory, self.controller.generator)
+        remarks += start_remarks(self.spec, self.controller.trajectory)
         duration, step = self.spec.scenario.duration, self.spec.scenario.sample_time
         if fastest * step > 2 * np.pi / 10:
             remarks.append(
@@ -414,9 +410,9 @@ def _unresolved(trace: Trace) -> list[str]:
     """Return a remark of all guards that were within rounding of 0, if there are any."""
     if not trace.unresolved:
         return []
-    found: dict[tuple[str, int], list[Unresolved]] = {}
+    found = defaultdict[tuple[str, int], list[Unresolved]](list)
     for doubt in trace.unresolved:
-        found.setdefault((doubt.part, doubt.guard), []).append(doubt)
+        found[doubt.part, doubt.guard].append(doubt)
     spans = [doubt.span for doubt in trace.unresolved]
     late = " or ".join([f"{max(spans):.2g} s"] * bool(max(spans)) + ["a step of the simulation"] * (0 in spans))
     places = [
@@ -424,6 +420,8 @@ def _unresolved(trace: Trace) -> list[str]:
         + f" and {amount(len(doubts) - 1, 'more time')}" * (len(doubts) > 1)
         for (part, guard), doubts in found.items()
     ]
-    said = f"within rounding of a hyperplane for up to {late}, on which side cannot be told"
-    said += f"; a mode change may be missing there, or early or late by up to {late}"
-    return ["; ".join([f"{said}, which changes the signals by no more than rounding", *places])]
+    said = (
+        f"within rounding of a hyperplane for up to {late}, on which side cannot be told; a mode change may be missing "
+    )
+    said += f"there, or early or late by up to {late}, which changes the signals by no more than rounding"
+    return ["; ".join([said, *places])]

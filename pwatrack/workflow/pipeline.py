@@ -160,36 +160,25 @@ def _with_gains(
     """Find the gains with their proofs, and the room that limits leave, for which K is made if it is exact."""
     with spec.located():
         check_unknown(spec)
-        trajectory, generator = desired_trajectory(spec, growing)  # (15)–(17), or (3)
+        trajectory = desired_trajectory(spec, growing)  # (15)–(17), or (3)
+        generator = trajectory.generator
         plant = spec.problem.plant if generator is None else generator.form.plant
         goals, sizes = spec.objectives, spec_sizes(spec)
-        taken = demand_of(spec, trajectory, generator)
-        room = room_within_limits(spec, trajectory, generator, sizes, taken)
+        taken = demand_of(spec, trajectory)
+        room = room_within_limits(spec, trajectory, sizes, taken)
+        within = _within(spec, room, sizes.state)
         gains = synthesize(  # (8), (9)
-            plant,
-            controller=goals.controller,
-            observer=goals.observer,
-            sizes=sizes,
-            within=_within(spec, room, sizes.state),
+            plant, controller=goals.controller, observer=goals.observer, sizes=sizes, within=within
         )
         declared = None if room is None else room.around(sizes.state)
         if declared is not None and exact and trajectory.preview is None:
             gains = with_starts_inside(plant, gains, goals.controller, sizes, declared)
-        check_breaks(spec, trajectory, generator, gains)
+        check_breaks(spec, trajectory, gains)
         proofs = prove_design(plant, gains, generator, sizes=sizes)
-        return (
-            ProvedController(  # (18), (19)
-                plant=plant,
-                running=plant,
-                design=gains,
-                trajectory=trajectory,
-                generator=generator,
-                proofs=proofs,
-                sizes=sizes,
-            ),
-            room,
-            taken,
+        controller = ProvedController(  # (18), (19)
+            plant=plant, running=plant, design=gains, trajectory=trajectory, proofs=proofs, sizes=sizes
         )
+        return controller, room, taken
 
 
 def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint | None:
@@ -206,31 +195,25 @@ def _within(spec: Spec, room: Headroom | None, sizes: Array) -> InputConstraint 
 
 def asked(spec: Spec, controller: ProvedController, content: Any = None) -> Asked:
     """Return what a spec asks to be proved of a controller; what set-points take, as a certificate tells it."""
-    trajectory, generator = controller.trajectory, controller.generator
-    taken = demand_of(spec, trajectory, generator, content)
-    room = room_within_limits(spec, trajectory, generator, controller.sizes, taken)
+    taken = demand_of(spec, controller.trajectory, content)
+    room = room_within_limits(spec, controller.trajectory, controller.sizes, taken)
     return asked_of(spec, room, controller, taken)
 
 
 def not_judged(spec: Spec) -> Iterator[str]:
     """Yield that `design` judges limits and sampling, or what is known of the latter with given gains."""
-    if spec.scenario.conditions.limits is not None and not isinstance(spec.problem.reference, SetPoint):
+    conditions, goals = spec.scenario.conditions, spec.objectives
+    if conditions.limits is not None and not isinstance(spec.problem.reference, SetPoint):
         yield "whether the reference keeps the limits of inputs is not judged here: 'design' does"
-    yield from _sampling_known(spec)
-
-
-def _sampling_known(spec: Spec) -> Iterator[str]:
-    """Say what sampling makes of the loop in each cell, or that it depends on K and L, if these are not given."""
-    sampling, goals = spec.scenario.conditions.sampling, spec.objectives
-    if sampling is None:
+    if conditions.sampling is None:
         return
     if isinstance(goals.controller, Given) and isinstance(goals.observer, Given):
         with suppress(PwatrackError):  # `design` says what
             controller = design(spec, growing=True)
-            found, known = refused(controller, spec.scenario.conditions), list(sampling_remarks(controller))
+            found, known = refused(controller, conditions), list(sampling_remarks(controller))
             yield from [not_simulated(found[0]), *known] if found else known
             return
-    yield f"sampling every {sampling.sample_time:g} s is not judged here: 'design' does, with its gains"
+    yield f"sampling every {conditions.sampling.sample_time:g} s is not judged here: 'design' does, with its gains"
 
 
 def simulate(
@@ -285,13 +268,13 @@ def _plant_and_generator_start(spec: Spec, controller: ProvedController) -> tupl
     """Return η̂(0), (p,), a period of the steady state where there is one, and x(0), (n,)."""
     eta, steady_state = _generator_start(spec, controller)
     fixed = controller.trajectory.eta0 is not None or (steady_state is not None and starts_periodic(spec))
-    return eta, steady_state, plant_start(spec, controller.trajectory, controller.generator, eta if fixed else None)
+    return eta, steady_state, plant_start(spec, controller.trajectory, eta if fixed else None)
 
 
 def _generator_start(spec: Spec, controller: ProvedController) -> tuple[Array, SteadyState | None]:
     """Return η̂(0), (p,), and a period of the steady state where there is one."""
     trajectory, fixed = controller.trajectory, controller.trajectory.eta0
-    eta = generator_start(spec, trajectory, controller.generator) if fixed is None else fixed
+    eta = generator_start(spec, trajectory) if fixed is None else fixed
     steady_state = _steady_state(spec, controller, eta)
     if steady_state is not None and starts_periodic(spec):
         eta = steady_state.z[0, : trajectory.rate.shape[1]]

@@ -59,7 +59,7 @@ def _checked(spec: Spec, facts: Applicability) -> tuple[str, Sizes]:
     said, sizes = check_reference(spec, facts.form), spec_sizes(spec)
     with spec.located():
         if isinstance(spec.problem.reference, SetPoint) and spec.scenario.conditions.limits is not None:
-            room_within_limits(spec, *desired_trajectory(spec, growing=False), sizes)
+            room_within_limits(spec, desired_trajectory(spec, growing=False), sizes)
         check_modes(spec.problem.plant, spec.objectives.controller, spec.objectives.observer, sizes)
         if facts.form is not None and facts.open in ([], [PRACTICAL]):  # by eigenvalues of the zero dynamics
             spec_generator(spec, facts.form, known=facts.known)
@@ -121,7 +121,7 @@ def merged_spec(spec: Spec, ways: Sequence[Simplification], *, watched: bool = F
 
 
 def _solve(spec: Spec) -> None:
-    _, generator = desired_trajectory(spec, False)
+    generator = desired_trajectory(spec, False).generator
     plant = spec.problem.plant if generator is None else generator.form.plant
     if plant.repair is not None and spec.problem.plant.repair is None:
         raise OutsideTheory("the merged plant has the form (11) but for rounding")

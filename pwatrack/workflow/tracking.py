@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import EPS, Array
 from pwatrack.claims.robust import check_without_loads
 from pwatrack.control.compensation import check_played_back, compensation
 from pwatrack.control.controller import ProvedController
@@ -16,7 +16,7 @@ from pwatrack.control.headroom import Starts
 from pwatrack.control.modes import check_loads, check_modes
 from pwatrack.control.realisable import input_trajectory, set_point, state_trajectory
 from pwatrack.control.synthesis import Gains
-from pwatrack.control.trajectory import DesiredTrajectory, check_timing, output_trajectory
+from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory, timing_error
 from pwatrack.errors import CheckFailed, Infeasible, InvalidSpec, OutsideTheory, Problem, PwatrackError, Remedy, Way
 from pwatrack.model.normal_form import NormalForm, normal_form
 from pwatrack.model.profile import Table
@@ -43,6 +43,7 @@ from pwatrack.spec.spec import Measured, Spec, Steady
 from pwatrack.spec.wording import guess, shown
 from pwatrack.workflow.sizing import spec_sizes
 
+ALLOWED = 1e-9  # of the size of the reference: what timing may miss, as exact as everything else that is shown
 _ROUNDED = 1e-12  # of its size: x̂ that is no further off x at the start is x
 
 
@@ -79,30 +80,27 @@ def check_unknown(spec: Spec) -> None:
         check_without_loads(problem.plant)
 
 
-def desired_trajectory(
-    spec: Spec, growing: bool, form: NormalForm | None = None
-) -> tuple[DesiredTrajectory, TrajectoryGenerator | None]:
-    """Return the desired trajectory, and for output tracking the generator it comes from, in a form that is known."""
+def desired_trajectory(spec: Spec, growing: bool, form: NormalForm | None = None) -> DesiredTrajectory:
+    """Return the desired trajectory; for output tracking that of a generator, in a form that is known."""
     plant, reference = spec.problem.plant, spec.problem.reference
     if not isinstance(reference, OutputReference):
         trajectory, where = _state_desired(spec), ("reference", "start")
         if not isinstance(reference, InputReference):
-            return trajectory, None
-        horizon = spec.scenario.duration
+            return trajectory
         try:
-            return bounded_response(plant, trajectory, horizon=horizon, subject=where), None
+            return bounded_response(plant, trajectory, horizon=spec.scenario.duration, subject=where)
         except CheckFailed as growth:
             if not growing:
                 raise
-            return replace(trajectory, bounded=False, growth=growth.problems[0]), None
+            return replace(trajectory, bounded=False, growth=growth.problems[0])
     form = form or spec_form(spec)
     y_d = _output_signals(reference, form)
     generator = spec_generator(spec, form, known=reference.preview)
     trajectory = output_trajectory(generator, exosystem(y_d))
     if not generator.played_back:
-        return trajectory, generator
+        return trajectory
     check_played_back(form)
-    return played_back(trajectory, spec.scenario.duration), generator
+    return played_back(trajectory, spec.scenario.duration)
 
 
 def spec_form(spec: Spec) -> NormalForm:
@@ -198,25 +196,30 @@ def reference_remarks(spec: Spec, form: NormalForm | None) -> tuple[str, ...]:
     return tuple(said)
 
 
-def check_breaks(
-    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, gains: Gains
-) -> None:
-    """Refuse a reference whose breaks cannot be timed well enough."""
+def check_breaks(spec: Spec, trajectory: DesiredTrajectory, gains: Gains) -> None:
+    """Refuse a reference that changes so fast that the rounding of its break times can be seen.
+
+    Where its corners are rounded, the shortest rounding that would do is said.
+    """
     plant, reference, tracking = spec.problem.plant, spec.problem.reference, spec.problem.tracking
-    rounded = reference.courses if isinstance(reference, OutputReference | StateReference) else ()
-    smooth = shortest_rounding(rounded)
-    try:
-        check_timing(
-            plant,
-            gains.K,
-            trajectory,
-            outputs=np.eye(len(plant.states)) if tracking == "state" else plant.tracked,
-            smooth=None if smooth is None else (smooth, 1 if generator is None else min(generator.form.degrees)),
-            subject=("reference", tracking),
-        )
-    except InvalidSpec as fast:
-        said = "" if smooth is None else f"smooth: {smooth:g} s is too short: "
-        raise InvalidSpec(*(p.prefixed(said) for p in fast.problems)) from None
+    outputs = np.eye(len(plant.states)) if tracking == "state" else plant.tracked
+    worst, time = timing_error(plant, gains.K, trajectory, outputs=outputs)
+    if worst <= ALLOWED:
+        return
+    smooth = shortest_rounding(reference.courses if isinstance(reference, OutputReference | StateReference) else ())
+    said, remedy = "", None
+    if smooth is not None:
+        reached = 1 if trajectory.generator is None else min(trajectory.generator.form.degrees)  # derivatives, by u_ff
+        said = f"smooth: {smooth:g} s is too short: "
+        remedy = Remedy(Way.LONGER_ROUNDING, (smooth * (worst / ALLOWED) ** (1 / reached),))
+    raise InvalidSpec(
+        f"{said}the time of a break at t = {time:.6g} s is known to {EPS * time:.1g} s, and the reference "
+        f"is so fast there that this alone makes a tracking error of about {worst:.1g} of its own size; "
+        f"up to {ALLOWED:g} is taken",
+        subject=("reference", tracking),
+        hint="round its corners over a longer time",
+        remedy=remedy,
+    )
 
 
 def _check(signals: list[Signal], r: int | None, subject: tuple[str, ...], name: str) -> None:
@@ -242,11 +245,11 @@ def start_given_twice(subject: tuple[str, ...]) -> InvalidSpec:
     return InvalidSpec(message, subject=subject, hint="leave it out")
 
 
-def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> Array:
+def generator_start(spec: Spec, trajectory: DesiredTrajectory) -> Array:
     """Return η̂(0), in order or by the generator's names of states; that of `consistent_start` if none is given."""
     given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
     if given is None or isinstance(given, Steady):
-        return consistent_start(trajectory, generator)[0]
+        return consistent_start(trajectory, trajectory.generator)[0]
     if not isinstance(given, Mapping):
         return initial_values(given, len(names), "generator")
     unknown = [
@@ -263,19 +266,17 @@ def generator_start(spec: Spec, trajectory: DesiredTrajectory, generator: Trajec
     return np.array([given.get(name, 0.0) for name in names])
 
 
-def start_remarks(spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None) -> tuple[str, ...]:
+def start_remarks(spec: Spec, trajectory: DesiredTrajectory) -> tuple[str, ...]:
     """Say what was taken where a steady state is asked for that there is not."""
     initial = spec.scenario.initial
     asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), Steady)]
     if not asked or trajectory.eta0 is not None:
         return ()
-    said = consistent_start(trajectory, generator)[1]
+    said = consistent_start(trajectory, trajectory.generator)[1]
     return (f"simulation.initial.{asked[-1]}: there is no steady state: {said}",) if said else ()
 
 
-def plant_start(
-    spec: Spec, trajectory: DesiredTrajectory, generator: TrajectoryGenerator | None, eta: Array | None = None
-) -> Array:
+def plant_start(spec: Spec, trajectory: DesiredTrajectory, eta: Array | None = None) -> Array:
     """Return x(0); in steady state it is x_d(0), from which the plant follows its reference, or rests with it.
 
     `eta` is η̂(0), where the reference says it; else it is that of `consistent_start`.
@@ -283,7 +284,7 @@ def plant_start(
     given = spec.scenario.initial.plant
     if not isinstance(given, Steady):
         return initial_values(given, len(spec.problem.plant.states), "plant")
-    eta = consistent_start(trajectory, generator)[0] if eta is None else eta
+    eta = consistent_start(trajectory, trajectory.generator)[0] if eta is None else eta
     return trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
 
 

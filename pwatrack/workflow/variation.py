@@ -197,8 +197,7 @@ def other_starts(result: SimulatedLoop, count: int, seed: int) -> Variation:
                 raise start_given_twice(subject)
             if drawn.shape[1] != len(etas):
                 message = f"{'.'.join(subject)}: {amount(drawn.shape[1], 'interval')}, expected {len(etas)}, "
-                message += "one for each state of the generator"
-                raise InvalidSpec(message, subject=subject)
+                raise InvalidSpec(f"{message}one for each state of the generator", subject=subject)
         starts[:, where] = drawn
     for start in starts:
         _observe(spec, loop, start)
