@@ -96,10 +96,21 @@ def _same(rows: Sequence[Row], signs: IntArray) -> SharedHyperplanes:
 
 def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> SharedHyperplanes:
     """Merge distinct hyperplanes by rounding, the closest ones first."""
+    logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
+    close = list[tuple[Fraction, int, int]]()
+    for k in range(len(rows) - 1):
+        with np.errstate(invalid="ignore"):  # of entries that are 0 in both
+            ratio = logs[k + 1 :] - logs[k]
+            spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
+        near = np.flatnonzero(spread < 1e-6) + k + 1  # far coarser than these logarithms and the true limit
+        for other in near.tolist():
+            size = difference(rows[k], rows[other])
+            if size is not None:
+                close.append((size, k, other))
     table = signs.copy()
     home = list(range(len(rows)))
     repairs: dict[int, tuple[int, Fraction]] = {}
-    for _, one, other in sorted(_close(rows)):
+    for _, one, other in sorted(close):
         k, to = max(home[one], home[other]), min(home[one], home[other])
         group = [j for j in range(len(rows)) if home[j] == k]
         away = {j: difference(rows[j], rows[to]) for j in group}
@@ -128,20 +139,6 @@ def difference(one: Row, other: Row) -> Fraction | None:
     sizes = [abs(ratio) for ratio in ratios]
     spread = max(sizes) / min(sizes) - 1
     return spread if spread <= _ROUNDING else None
-
-
-def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
-    logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
-    found = []
-    for k in range(len(rows) - 1):
-        with np.errstate(invalid="ignore"):  # of entries that are 0 in both
-            ratio = logs[k + 1 :] - logs[k]
-            spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
-        for other in np.flatnonzero(spread < 1e-6).tolist():  # far coarser than these logarithms and the true limit
-            size = difference(rows[k], rows[k + 1 + other])
-            if size is not None:
-                found.append((size, k, k + 1 + other))
-    return found
 
 
 def _has_interior(rows: Sequence[Row], signs: IntArray) -> bool:

@@ -11,10 +11,10 @@ from pwatrack.control.program import SampledController, program
 from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import Exosystem
+from pwatrack.model.reference import Exosystem, StateResets
 from pwatrack.simulation.flow import Clock, Flow, Mode, SwitchedPart
 from pwatrack.simulation.layout import Actuator, Layout, actuators, rate_limits
-from pwatrack.simulation.propagate import StateResets, pieces, sample_count
+from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import Trace
 
 _GENERATOR = 2  # the part of the flow that has the cells of x_d
@@ -57,12 +57,13 @@ class ClosedLoop:
     def resets(self, duration: float) -> list[StateResets]:
         """Return all that takes new values up to a time (s): exosystems at their pieces, and the noise."""
         at, conditions = self.at, self.conditions
-        trajectory = self.controller.trajectory
-        found = pieces(trajectory.exosystem, at.w)
+        trajectory, systems = self.controller.trajectory, list[tuple[Exosystem, slice]]()
+        systems.append((trajectory.exosystem, at.w))
         if trajectory.preview is not None and at.rho.stop > at.rho.start:
-            found += pieces(trajectory.preview.left, at.rho)
+            systems.append((trajectory.preview.left, at.rho))
         if conditions.disturbance is not None:
-            found += pieces(conditions.disturbance, at.d)
+            systems.append((conditions.disturbance, at.d))
+        found = [each.behind(where.start) for system, where in systems for each in system.resets]
         if conditions.noise is not None:
             found.append(StateResets(**drawn(conditions.noise, duration), where=at.v))
         return found
@@ -202,7 +203,12 @@ def closed_loop(
     off = model.C @ (x_hat - x) - (y - model.C @ x)  # ŷ − y: of an observer that has the plant's C, C (x̂ − x) alone
     if sampling:  # both are held
         steady, switched, off = z[at.u], np.zeros_like(u_ff), model.C @ x_hat - z[at.y]
-    F0 = _exosystems(trajectory.exosystem, conditions, at) + at.driven(steady, plant, model) + _loads(model, at)
+    F0 = at.driven(steady, plant, model) + _loads(model, at)
+    for where in (at.w, at.w_held) if at.w_held.stop > at.w_held.start else (at.w,):
+        F0[where, where] = trajectory.exosystem.S
+    if conditions.disturbance is not None:
+        F0[at.d, at.d] = conditions.disturbance.S
+        F0[at.x, at.d] += conditions.disturbance.Q
     F0[at.observer] += L @ off
     F = np.array([at.driven(rows, plant, model) for rows in switched])
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
@@ -240,17 +246,6 @@ def _limits(
     if conditions.rates is not None and sampling:
         parts += rate_limits(conditions.rates * sampling.sample_time, model, at)
     return parts
-
-
-def _exosystems(reference: Exosystem, conditions: Conditions, at: Layout) -> Array:
-    """Return what drives itself: the reference, for a program also a copy, and disturbances, (N, N)."""
-    F = np.zeros((at.order, at.order))
-    F[at.w, at.w] = reference.S
-    if at.w_held.stop > at.w_held.start:
-        F[at.w_held, at.w_held] = reference.S
-    if conditions.disturbance is not None:
-        F[at.d, at.d], F[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
-    return F
 
 
 def _loads(model: PWASystem, at: Layout) -> Array:
