@@ -11,8 +11,9 @@ follows the number of regions.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise, product
+from itertools import accumulate, pairwise, product
 from math import lcm, log2, prod
+from operator import xor
 
 import numpy as np
 
@@ -200,37 +201,24 @@ def _regions(planes: Sequence[Row], r: int, most: int) -> dict[int, Point]:
         (across[moving[0]] if len(moving) == 1 else others).append(k)
     if prod(len(ks) + 1 for ks in across) > most:
         raise TooMany
-    found = _boxes(planes, across)
+    intervals = list[list[tuple[int, Fraction]]]()  # between parallel hyperplanes, with a short number in each
+    for j, ks in enumerate(across):
+        marks = sorted((Fraction(-planes[k][-1], planes[k][j]), k) for k in ks)
+        region, samples = sum(1 << k for _, k in marks if planes[k][j] < 0), [marks[0][0] - 1]
+        for (low, _), (high, _) in pairwise(marks):
+            gap = high - low
+            bits = max(0, gap.denominator.bit_length() - gap.numerator.bit_length() + 1)
+            samples.append(Fraction((low.numerator << bits) // low.denominator + 1, 1 << bits))
+        regions = accumulate((1 << k for _, k in marks), xor, initial=region)
+        intervals.append(list(zip(regions, [*samples, marks[-1][0] + 1], strict=True)))
+    W = lcm(*(sample.denominator for each in intervals for _, sample in each))
+    scaled = [[(region, int(sample * W)) for region, sample in each] for each in intervals]
+    found = {sum(region for region, _ in box): (*(X for _, X in box), W) for box in product(*scaled)}
     done = [k for ks in across for k in ks]
     for k in others:
         _cut(found, planes, done, k, most)
         done.append(k)
     return found
-
-
-def _boxes(planes: Sequence[Row], across: Sequence[Sequence[int]]) -> dict[int, Point]:
-    """Return all combinations of the intervals between parallel hyperplanes, with a point of each."""
-    intervals = []
-    for j, ks in enumerate(across):
-        marks = sorted((Fraction(-planes[k][-1], planes[k][j]), k) for k in ks)
-        region = sum(1 << k for _, k in marks if planes[k][j] < 0)
-        inner = [_between(low, high) for (low, _), (high, _) in pairwise(marks)]
-        samples = [marks[0][0] - 1, *inner, marks[-1][0] + 1]
-        found = [(region, samples[0])]
-        for (_, k), sample in zip(marks, samples[1:], strict=True):
-            region ^= 1 << k
-            found.append((region, sample))
-        intervals.append(found)
-    W = lcm(*(sample.denominator for found in intervals for _, sample in found))
-    scaled = [[(region, int(sample * W)) for region, sample in found] for found in intervals]
-    return {sum(region for region, _ in box): (*(X for _, X in box), W) for box in product(*scaled)}
-
-
-def _between(low: Fraction, high: Fraction) -> Fraction:
-    """Return a short dyadic number strictly between two others."""
-    gap = high - low
-    bits = max(0, gap.denominator.bit_length() - gap.numerator.bit_length() + 1)
-    return Fraction((low.numerator << bits) // low.denominator + 1, 1 << bits)
 
 
 def _cut(found: dict[int, Point], planes: Sequence[Row], done: Sequence[int], k: int, most: int) -> None:

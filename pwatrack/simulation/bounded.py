@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from math import e, factorial
 
 import numpy as np
@@ -102,17 +103,15 @@ def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) ->
     assert trajectory.eta0 is not None
     n = len(trajectory.eta0)
     z = np.concatenate([trajectory.eta0, trajectory.exosystem.w0, [1.0]])
-    largest, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
-    edges, seen = tenths(STEPS + 1), 0
+    largest, cell, seen = np.zeros((10, n)), plant.partition.locate(trajectory.eta0), np.zeros((0, n))
     try:
         for trace in blocks(plant, trajectory, z, duration):
-            number = np.searchsorted(edges[1:-1], np.arange(seen, seen + len(trace.t)), side="right")
-            for k in np.unique(number):
-                largest[k] = np.maximum(largest[k], np.abs(trace.z[number == k, :n]).max(axis=0))
-            seen += len(trace.t)
+            seen = np.vstack([seen, np.abs(trace.z[:, :n])])
             z, cell = trace.z[-1], int(trace.modes[-1, 0])
     except CheckFailed:  # beyond all bounds
         largest[-1] = np.inf
+    for k, (first, last) in enumerate(pairwise(tenths(STEPS + 1))):
+        largest[k] = np.maximum(largest[k], seen[first:last].max(axis=0, initial=0.0))
     return largest, cell, z
 
 

@@ -299,13 +299,8 @@ def _counted(
 def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at: Layout, *, measured: Array) -> Flow:
     """Return a closed loop whose controller runs at every multiple of a sample time: the program of docs/arithmetic.md.
 
-    At each tick the program steps observer and generator on from the last tick, in the cells they were in then,
-    with the input and the measured output that it holds. Then it measures and computes the new input, keeps it from
-    changing too fast, and cuts it off at the limits of the actuator; where it is late, the input goes behind those
-    that wait, and the first of them is put out. What is measured and what is put out are whole multiples of their
-    quanta. The first tick, at t = 0, has no step. In the given flow observer and generator move in continuous time
-    under held u, y and w. Of a program that corrects, x_d is what (15) makes of the reference in continuous time: what
-    its own steps leave of that is an error of the loop.
+    In the given flow observer and generator move in continuous time under held u, y and w. Of a program that corrects
+    x_d is what (15) makes of the reference in continuous time: what its steps leave of that is an error of the loop.
     """
     F0, corrects = flow.F0.copy(), program.sampling.corrects
     F0[at.observer], F0[at.w_held] = 0.0, 0.0
