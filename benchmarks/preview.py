@@ -162,8 +162,10 @@ def left_by_pieces(controller: ProvedController, duration: float) -> float:
     plant, trajectory = controller.plant, controller.trajectory
     system, n = trajectory.exosystem, plant.A.shape[1]
     S, w, e, worst = system.S.astype(np.longdouble), system.w0.astype(np.longdouble), np.zeros(n), 0.0
-    times = [0.0, *sorted({reset.t for reset in system.resets if 0 < reset.t < duration}), duration]
-    flows, due = dict[tuple[int, float], Array](), list(system.resets)
+    times = [0.0, *(t for t in system.breaks.tolist() if 0 < t < duration), duration]
+    flows = dict[tuple[int, float], Array]()
+    due = [(t, each.where, w) for each in system.resets for t, w in zip(each.t, each.values, strict=True)]
+    due.sort(key=lambda reset: reset[0])
 
     def at(w: NDArray[np.longdouble]) -> tuple[int, NDArray[np.longdouble], NDArray[np.longdouble]]:
         s = np.append(w, np.longdouble(1))
@@ -173,9 +175,9 @@ def left_by_pieces(controller: ProvedController, duration: float) -> float:
 
     for a, b in pairwise(times):
         before = at(w)[1]
-        while due and due[0].t <= a:
-            reset = due.pop(0)
-            w[reset.where] = reset.w
+        while due and due[0][0] <= a:
+            _, where, values = due.pop(0)
+            w[where] = values
         e += (before - at(w)[1]).astype(float)
         steps = max(16, int(np.ceil((b - a) / duration * 2000)))
         h = (b - a) / steps
@@ -236,7 +238,7 @@ def integrated(controller: ProvedController, duration: float) -> float:
     """
     plant, trajectory, n = controller.plant, controller.trajectory, controller.plant.A.shape[1]
     system, K, L = trajectory.exosystem, controller.K, controller.L
-    breaks = sorted({0.0, *(reset.t for reset in system.resets)})
+    breaks = sorted({0.0, *system.breaks.tolist()})
     parts = [replace(system, w0=w, resets=()) for w in system.states(np.array(breaks))]
 
     def field(x: Array) -> Array:

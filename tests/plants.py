@@ -7,7 +7,7 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.model.cells import Partition
 from pwatrack.model.pwa import PWASystem
-from pwatrack.simulation.propagate import StateResets
+from pwatrack.model.reference import StateResets
 
 
 def springs(A: Array, b: Array, B: Array, C: Array, g: Array, h: Array, c: Array) -> PWASystem:

@@ -328,7 +328,7 @@ def built(path: Path) -> int:
     assert isinstance(reference, OutputReference)
     (signal,) = reference.signals([2])
     assert signal.jump(1) is None
-    return len(exosystem([signal]).resets)
+    return len(exosystem([signal]).breaks)
 
 
 def long_table(folder: Path, samples: int) -> Path:

@@ -7,10 +7,11 @@ import pytest
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
+from pwatrack.model.reference import StateResets
 from pwatrack.simulation import enclosure
 from pwatrack.simulation.enclosure import CLOSE, Range, Rows, Segments, enclosed
 from pwatrack.simulation.flow import Flow, Mode, SwitchedPart
-from pwatrack.simulation.propagate import StateResets, simulate_flow, trace_blocks
+from pwatrack.simulation.propagate import simulate_flow, trace_blocks
 
 ROUNDING = 1e-11  # of the largest signal
 

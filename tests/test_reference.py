@@ -152,7 +152,7 @@ def test_a_table_is_met_at_its_points_with_r_continuous_derivatives(r: int) -> N
 def test_an_exosystem_with_resets_follows_the_pieces() -> None:
     signal = step(0.8).signal(2) + Signal.of(formula("0.3*sin(2*t)", {}))
     system = exosystem([signal])
-    assert len(system.resets) >= 3
+    assert len(system.breaks) >= 3
     for t in (0.0, 0.7, 0.95, 1.2, 2.5):
         for order in range(3):
             assert system(t, order)[0] == pytest.approx(signal(t, order), abs=1e-10)

@@ -34,9 +34,9 @@ from pwatrack.lmi.exact import prove
 from pwatrack.lmi.pair import Pair
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.model.pwa import PWASystem
+from pwatrack.model.reference import StateResets
 from pwatrack.simulation.ensemble import Member, simulate_ensemble
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateResets
 
 ALPHA, RATIO, SHAFT, BETWEEN = 0.03, 12.0, 1e4, 1e5  # rad, 1, Nm/rad, Nm/rad
 LOAD, ENGINE, INERTIAS = 140.0, 0.3, 0.01  # kg m²; of the masses between 1 / J is 0.01 in the benchmark's equations

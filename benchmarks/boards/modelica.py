@@ -32,9 +32,10 @@ from benchmarks.boards.limited import machine, table
 from pwatrack.arrays import Array
 from pwatrack.model.contact import Contact
 from pwatrack.model.linear_form import LinearForm
+from pwatrack.model.reference import StateResets
 from pwatrack.real import Real
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import StateResets, simulate_flow
+from pwatrack.simulation.propagate import simulate_flow
 
 RTOL, ATOL = 1e-12, 1e-14
 GRID = 1e-7  # of the interval: what is nearer to a time of the grid is on it

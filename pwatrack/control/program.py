@@ -249,9 +249,9 @@ def _follows(exosystem: Exosystem, sampling: Sampling) -> Follows:
     The first tick is that at which the first input acts.
     """
     S, h, found = exosystem.S, sampling.sample_time, []
-    for where, times, values in exosystem.pieces():
-        for t, w in zip(times.tolist(), values, strict=True):
-            tick = ceil(t / h - _ON_TICK)
+    for resets in exosystem.resets:
+        for t, w in zip(resets.t.tolist(), resets.values, strict=True):
+            tick, where = ceil(t / h - _ON_TICK), resets.where
             found.append(Piece(tick=tick, start=where.start, w=expm(S[where, where] * max(tick * h - t, 0.0)) @ w))
     latest = {(piece.tick, piece.start): piece for piece in found}
     w, before = exosystem.w0, list[Array]()

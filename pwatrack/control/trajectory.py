@@ -150,14 +150,14 @@ def timing_error(plant: PWASystem, K: Array, trajectory: DesiredTrajectory, *, o
         return 0.0, 0.0
     rows = trajectory.x_d[:, :, p:-1]
     times, jumps = [0.0], [np.zeros(len(plant.B))]
-    for where, t, _ in system.pieces():
-        rates = system.states(t) @ system.S.T
+    for resets in system.resets:
+        t, where, rates = resets.t, resets.where, system.states(resets.t) @ system.S.T
         for X in np.unique(rows, axis=0):
             off = rates[:, where] @ X[:, where].T * (EPS * t[:, None])  # ẋ_d ε t
             for k in sorted(set(np.abs(off).argmax(axis=0).tolist())):
                 times.append(float(t[k]))
                 jumps.append(off[k])
-    breaks = np.unique([0.0, *(reset.t for reset in system.resets)])
+    breaks = np.unique(np.append(0.0, system.breaks))
     wanted = system.states(breaks) @ (outputs @ rows[0]).T
     swing, most = np.ptp(wanted, axis=0), np.abs(wanted).max(axis=0)
     rests = np.where(most > 0, most, np.inf)  # of one that rests its size is where, if not at 0

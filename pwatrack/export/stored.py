@@ -288,12 +288,17 @@ def loads_content(loads: Loads, added: Compensation) -> dict[str, Any]:
 
 def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     system = trajectory.exosystem
+    pieces = [
+        {"t": t, "start": resets.where.start, "w": w}
+        for resets in system.resets
+        for t, w in zip(resets.t.tolist(), resets.values.tolist(), strict=True)
+    ]
     return {
         "eta": list(trajectory.names),
         **_lists(trajectory, "rate", "x_d", "u_ff", "guards", "signs"),
         "reference": {
             **_lists(system, "S", "Q", "w0"),
-            "pieces": [{"t": float(r.t), "start": r.where.start, "w": r.w.tolist()} for r in system.resets],
+            "pieces": sorted(pieces, key=lambda piece: (piece["t"], piece["start"])),
             "period": system.period,
             "end": system.end,
         },

@@ -41,11 +41,9 @@ class Facet:
 class Partition:
     """Polyhedral cells that cover ℝⁿ, as in Section II of the paper.
 
-    Cell i is the set of x with `signs[i, j] * (H[j] @ x + h[j]) >= 0` for all
-    j; a sign of 0 means that hyperplane j does not bound the cell.
-
-    Which cells have an interior, share a facet, overlap or leave a hole is decided for the exact numbers, in whole
-    numbers, whatever their sizes.
+    Cell i is the set of x with `signs[i, j] * (H[j] @ x + h[j]) >= 0` for all j; a sign of 0 means that hyperplane j
+    does not bound the cell. Which cells have an interior, share a facet, overlap or leave a hole is decided for the
+    exact numbers, in whole numbers, whatever their sizes.
 
     Example:
         >>> halves = Partition.create(H=[[1.0]], h=[0.0], signs=[[-1], [1]], names=["left", "right"])
@@ -195,7 +193,12 @@ class Partition:
         """Prove that the cells do not overlap and cover ℝⁿ; raise a problem per overlapping pair, or one for a hole."""
         if self.complete:
             return
-        problems = self._faults() if self._cells is None else self._missing_region()
+        cells, arranged = self._cells, self._arrangement
+        if cells is None or arranged is None:
+            problems = self._faults()
+        else:  # all cells are different regions: they do not overlap
+            missing = (region for region in arranged.points if region not in cells)
+            problems = [_hole(arranged.point(region, self.H.shape[1])) for region in islice(missing, 1)]
         if problems:
             raise OutsideTheory(*problems)
 
@@ -239,13 +242,6 @@ class Partition:
     def _tiling(self) -> Tiling:
         shapes = (borders(claims(self.rows, signs), self.H.shape[1]) for signs in self.signs)
         return Tiling({i: shape for i, shape in enumerate(shapes) if shape is not None}, self.H.shape[1])
-
-    def _missing_region(self) -> list[Problem]:
-        """Return a problem for a region that is no cell. As all cells are different regions, they do not overlap."""
-        assert self._arrangement is not None
-        assert self._cells is not None
-        missing = (region for region in self._arrangement.points if region not in self._cells)
-        return [_hole(self._arrangement.point(region, self.H.shape[1])) for region in islice(missing, 1)]
 
     def _faults(self) -> list[Problem]:
         """Return a problem per overlapping pair, or else one for a hole."""

@@ -42,8 +42,12 @@ def output_derivatives(plant: PWASystem, j: int) -> Derivatives:
     error = np.zeros(n)  # bounds how far rounding may have moved the entries of c
     for _ in range(n):
         doubt = (error + rounding * np.abs(c)) @ np.abs(B)
-        if _reached(c @ B, doubt, len(rows), name):
+        delta = c @ B
+        open_ = np.flatnonzero(np.abs(delta) > _ZERO * doubt)
+        if (np.abs(delta) > doubt).any():
             return Derivatives(rows=np.array(rows), piecewise=False, last=np.broadcast_to(c, (len(A), n)), doubt=doubt)
+        if len(open_):
+            raise unsure(f"C A^{len(rows) - 1} B of '{name}' has {delta[open_[0]]:.3g}, which", float(doubt[open_[0]]))
         following = c @ A
         error = error @ size_A + rounding * (np.abs(c) @ size_A)
         if not B.any():
@@ -63,16 +67,6 @@ def output_derivatives(plant: PWASystem, j: int) -> Derivatives:
         hint="track another output or add an actuator",
         remedy=Remedy(Way.STATE_TRACKING),
     )
-
-
-def _reached(delta: Array, doubt: Array, order: int, name: str) -> bool:
-    """Say whether an input reaches a derivative, given c B and by how much that may be off, both (m,)."""
-    if (np.abs(delta) > doubt).any():
-        return True
-    open_ = np.flatnonzero(np.abs(delta) > _ZERO * doubt)
-    if len(open_):
-        raise unsure(f"C A^{order - 1} B of '{name}' has {delta[open_[0]]:.3g}, which", float(doubt[open_[0]]))
-    return False
 
 
 def _check_reached(plant: PWASystem, name: str, order: int, rows: Array, error: Array, size: Array) -> None:

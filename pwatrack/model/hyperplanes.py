@@ -11,8 +11,9 @@ follows the number of regions.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise, product
+from itertools import accumulate, pairwise, product
 from math import lcm, log2, prod
+from operator import xor
 
 import numpy as np
 
@@ -96,10 +97,21 @@ def _same(rows: Sequence[Row], signs: IntArray) -> SharedHyperplanes:
 
 def _nearly_same(rows: Sequence[Row], signs: IntArray, banned: set[int]) -> SharedHyperplanes:
     """Merge distinct hyperplanes by rounding, the closest ones first."""
+    logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
+    close = list[tuple[Fraction, int, int]]()
+    for k in range(len(rows) - 1):
+        with np.errstate(invalid="ignore"):  # of entries that are 0 in both
+            ratio = logs[k + 1 :] - logs[k]
+            spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
+        near = np.flatnonzero(spread < 1e-6) + k + 1  # far coarser than these logarithms and the true limit
+        for other in near.tolist():
+            size = difference(rows[k], rows[other])
+            if size is not None:
+                close.append((size, k, other))
     table = signs.copy()
     home = list(range(len(rows)))
     repairs: dict[int, tuple[int, Fraction]] = {}
-    for _, one, other in sorted(_close(rows)):
+    for _, one, other in sorted(close):
         k, to = max(home[one], home[other]), min(home[one], home[other])
         group = [j for j in range(len(rows)) if home[j] == k]
         away = {j: difference(rows[j], rows[to]) for j in group}
@@ -128,20 +140,6 @@ def difference(one: Row, other: Row) -> Fraction | None:
     sizes = [abs(ratio) for ratio in ratios]
     spread = max(sizes) / min(sizes) - 1
     return spread if spread <= _ROUNDING else None
-
-
-def _close(rows: Sequence[Row]) -> list[tuple[Fraction, int, int]]:
-    logs = np.array([[log2(abs(a)) if a else -np.inf for a in row] for row in rows])
-    found = []
-    for k in range(len(rows) - 1):
-        with np.errstate(invalid="ignore"):  # of entries that are 0 in both
-            ratio = logs[k + 1 :] - logs[k]
-            spread = np.nanmax(ratio, axis=1) - np.nanmin(ratio, axis=1)
-        for other in np.flatnonzero(spread < 1e-6).tolist():  # far coarser than these logarithms and the true limit
-            size = difference(rows[k], rows[k + 1 + other])
-            if size is not None:
-                found.append((size, k, k + 1 + other))
-    return found
 
 
 def _has_interior(rows: Sequence[Row], signs: IntArray) -> bool:
@@ -203,37 +201,24 @@ def _regions(planes: Sequence[Row], r: int, most: int) -> dict[int, Point]:
         (across[moving[0]] if len(moving) == 1 else others).append(k)
     if prod(len(ks) + 1 for ks in across) > most:
         raise TooMany
-    found = _boxes(planes, across)
+    intervals = list[list[tuple[int, Fraction]]]()  # between parallel hyperplanes, with a short number in each
+    for j, ks in enumerate(across):
+        marks = sorted((Fraction(-planes[k][-1], planes[k][j]), k) for k in ks)
+        region, samples = sum(1 << k for _, k in marks if planes[k][j] < 0), [marks[0][0] - 1]
+        for (low, _), (high, _) in pairwise(marks):
+            gap = high - low
+            bits = max(0, gap.denominator.bit_length() - gap.numerator.bit_length() + 1)
+            samples.append(Fraction((low.numerator << bits) // low.denominator + 1, 1 << bits))
+        regions = accumulate((1 << k for _, k in marks), xor, initial=region)
+        intervals.append(list(zip(regions, [*samples, marks[-1][0] + 1], strict=True)))
+    W = lcm(*(sample.denominator for each in intervals for _, sample in each))
+    scaled = [[(region, int(sample * W)) for region, sample in each] for each in intervals]
+    found = {sum(region for region, _ in box): (*(X for _, X in box), W) for box in product(*scaled)}
     done = [k for ks in across for k in ks]
     for k in others:
         _cut(found, planes, done, k, most)
         done.append(k)
     return found
-
-
-def _boxes(planes: Sequence[Row], across: Sequence[Sequence[int]]) -> dict[int, Point]:
-    """Return all combinations of the intervals between parallel hyperplanes, with a point of each."""
-    intervals = []
-    for j, ks in enumerate(across):
-        marks = sorted((Fraction(-planes[k][-1], planes[k][j]), k) for k in ks)
-        region = sum(1 << k for _, k in marks if planes[k][j] < 0)
-        inner = [_between(low, high) for (low, _), (high, _) in pairwise(marks)]
-        samples = [marks[0][0] - 1, *inner, marks[-1][0] + 1]
-        found = [(region, samples[0])]
-        for (_, k), sample in zip(marks, samples[1:], strict=True):
-            region ^= 1 << k
-            found.append((region, sample))
-        intervals.append(found)
-    W = lcm(*(sample.denominator for found in intervals for _, sample in found))
-    scaled = [[(region, int(sample * W)) for region, sample in found] for found in intervals]
-    return {sum(region for region, _ in box): (*(X for _, X in box), W) for box in product(*scaled)}
-
-
-def _between(low: Fraction, high: Fraction) -> Fraction:
-    """Return a short dyadic number strictly between two others."""
-    gap = high - low
-    bits = max(0, gap.denominator.bit_length() - gap.numerator.bit_length() + 1)
-    return Fraction((low.numerator << bits) // low.denominator + 1, 1 << bits)
 
 
 def _cut(found: dict[int, Point], planes: Sequence[Row], done: Sequence[int], k: int, most: int) -> None:

@@ -122,7 +122,7 @@ class Loads:
         Q, rates = disturbance.Q, disturbance.rates
         left = Q - self.E.floats[:, self.where] @ self.truth(Q, rates)
         frequencies = {float(load.frequency) for load in self.each}
-        starts = disturbance.states(np.array([0.0, *(reset.t for reset in disturbance.resets)]))
+        starts = disturbance.states(np.append(0.0, disturbance.breaks))
         for (rate, chain), w in product(spectral_terms(disturbance.S, rates), starts):
             first, *more = (E @ w for E in chain)
             missed = np.abs(left @ first).max(initial=0.0) > 1e-12 * (np.abs(Q) @ np.abs(first)).max(initial=0.0)

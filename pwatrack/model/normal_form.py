@@ -109,7 +109,7 @@ class ExactForm:
     directions: BallMatrix  # Z, (m, p)
     scales: tuple[float, ...]  # the diagonal of S
     internal: tuple[int, ...]  # the states j of the rows N = e_j − (B Z (D_1 Z)⁻¹)_j C_1 of T, n − r of them
-    A_eta: tuple[BallMatrix, ...] = ()  # (n − r, n − r), one per cell
+    A_eta: tuple[BallMatrix, ...]  # (n − r, n − r), one per cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,40 +148,33 @@ def normal_form(
         right_inverse = each(lambda D_i: Z @ (D_i @ Z).inverse(), D)
     except ZeroDivisionError:
         raise unsure("C A^(r - 1) B, known to within a radius,", 0.0) from None
-    exact = ExactForm(
-        T=tuple(T),
-        offset=tuple(offset),
-        inverse=tuple(inverse),
-        directions=Z,
-        scales=one_to_one(plant, found, [D_i @ Z for D_i in D]),
-        internal=tuple(internal),
-    )
-    return _form(plant, found, exact, stack(D), stack(right_inverse))
-
-
-def _form(
-    plant: PWASystem, found: Sequence[Derivatives], coordinates: ExactForm, D: Array, right_inverse: Array
-) -> NormalForm:
-    """Return the plant in these coordinates, given its decoupling matrix and that one's right inverse in each cell."""
-    exact, T, o, inverse = plant.exact, coordinates.T, coordinates.offset, coordinates.inverse
-    place = {id(A_i): i for i, A_i in enumerate(exact.A)}
-    whole = each(lambda A_i: T[place[id(A_i)]] @ A_i @ inverse[place[id(A_i)]], exact.A)
-    b = stack([T_i @ b_i - M @ o_i for T_i, b_i, M, o_i in zip(T, exact.b, whole, o, strict=True)])[:, :, 0]
-    last, r, A = last_rows(found), sum(d.degree for d in found), stack(whole)
-    etas = range(r, A.shape[1])
+    scales = one_to_one(plant, found, [D_i @ Z for D_i in D])
+    place = {id(A_i): i for i, A_i in enumerate(plant.exact.A)}
+    whole = each(lambda A_i: T[place[id(A_i)]] @ A_i @ inverse[place[id(A_i)]], plant.exact.A)
+    b = stack([T_i @ b_i - M @ o_i for T_i, b_i, M, o_i in zip(T, plant.exact.b, whole, offset, strict=True)])[:, :, 0]
+    r, A = sum(d.degree for d in found), stack(whole)
+    etas = range(r, n)
     return NormalForm(
         plant=plant,
         degrees=tuple(d.degree for d in found),
         piecewise=tuple(d.piecewise for d in found),
-        exact=replace(coordinates, A_eta=tuple(each(lambda A_i: A_i.part(etas, etas), whole))),
+        exact=ExactForm(
+            T=tuple(T),
+            offset=tuple(offset),
+            inverse=tuple(inverse),
+            directions=Z,
+            scales=scales,
+            internal=tuple(internal),
+            A_eta=tuple(each(lambda A_i: A_i.part(etas, etas), whole)),
+        ),
         T=stack(T),
-        offset=readonly(stack(o)[:, :, 0]),
+        offset=readonly(stack(offset)[:, :, 0]),
         T_inverse=stack(inverse),
         alpha=readonly(A[:, last, :r]),
         beta=readonly(A[:, last, r:]),
         gamma=readonly(b[:, last]),
-        D=D,
-        right_inverse=right_inverse,
+        D=stack(D),
+        right_inverse=stack(right_inverse),
         chi=readonly(A[:, r:, :r]),
         Psi=readonly(A[:, r:, r:]),
         sigma=readonly(b[:, r:]),

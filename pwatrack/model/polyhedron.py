@@ -188,14 +188,23 @@ def interior_point(rows: Sequence[Row], n: int) -> Point | None:
     Its pivots are those of Bland: they come to an end, at a point or at a row that shows that there is none
     (a slack that is a sum of slacks with factors ≤ 0 and something negative).
     """
-    M = [*rows, (0,) * n + (1,)]
-    m, columns = len(M), n + 1
-    T = [[*row, -1] for row in M]  # the slacks s = M z − 1, times the denominator
+    m, columns = len(rows) + 1, n + 1
+    T = [[*row, -1] for row in (*rows, (0,) * n + (1,))]  # the slacks s = M z − 1, times the denominator
     basic, free, denominator = list(range(m)), list(range(m, m + columns)), 1
 
     def exchange(r: int, c: int) -> None:
         nonlocal denominator
-        denominator = _exchange(T, r, c, denominator)
+        chosen, p = T[r], T[r][c]
+        sign = 1 if p > 0 else -1
+        for i, row in enumerate(T):
+            q = row[c]
+            if i != r and q:
+                T[i] = [sign * (p * a - q * b) // denominator for a, b in zip(row, chosen, strict=True)]
+                T[i][c] = sign * q
+            elif i != r:
+                T[i] = [sign * p * a // denominator for a in row]
+        T[r] = [-sign * b for b in chosen]
+        T[r][c], denominator = sign * denominator, sign * p
         basic[r], free[c] = free[c], basic[r]
 
     for column in range(columns):  # z has no sign: it becomes basic and stays so
@@ -215,22 +224,3 @@ def interior_point(rows: Sequence[Row], n: int) -> Point | None:
         if label >= m:
             z[label - m] = numbers[-1]
     return primitive(z)
-
-
-def _exchange(T: list[list[int]], r: int, c: int, denominator: int) -> int:
-    """Exchange a basic and a free variable in a table of whole numbers over a denominator; return the new one."""
-    chosen = T[r]
-    p = chosen[c]
-    sign = 1 if p > 0 else -1
-    for i, row in enumerate(T):
-        if i != r:
-            q = row[c]
-            if q:
-                new = [sign * (p * a - q * b) // denominator for a, b in zip(row, chosen, strict=True)]
-                new[c] = sign * q
-            else:
-                new = [sign * p * a // denominator for a in row]
-            T[i] = new
-    T[r] = [-sign * b for b in chosen]
-    T[r][c] = sign * denominator
-    return sign * p

@@ -66,9 +66,8 @@ def _extended(t: Array, y: Array, width: float, gap: float) -> tuple[Array, Arra
 def smoothed(corners: "scipy.interpolate.PPoly", width: float, times: int) -> "scipy.interpolate.PPoly":
     """Return a piecewise linear course averaged `times` times over a moving window of width / times, in s.
 
-    Every average adds one continuous derivative. A corner at t_j changes the
-    course only for |t − t_j| < width / 2, where a jump of the value becomes the
-    integral of a B-spline and a jump of the slope the integral of that.
+    Every average adds one continuous derivative. A corner at t_j changes the course only for |t − t_j| < width / 2,
+    where a jump of the value becomes the integral of a B-spline and a jump of the slope the integral of that.
     """
     lines = np.vstack([np.zeros((2 - len(corners.c), corners.c.shape[1])), corners.c])  # slope, value
     knots = corners.x[1:-1]

@@ -11,7 +11,7 @@ from pwatrack.arrays import Array, number_text, readonly
 from pwatrack.ball_matrix import BallMatrix, each, places, stack
 from pwatrack.ball_matrix import beside as sides
 from pwatrack.errors import OutsideTheory, Problem, ProblemPart, Remedy, Way
-from pwatrack.model.cells import Facet, Partition
+from pwatrack.model.cells import Partition
 from pwatrack.model.contact import Contact
 from pwatrack.model.continuity import Discontinuity, Discontinuous, Repair, repaired
 from pwatrack.model.loads import Loads
@@ -233,7 +233,18 @@ class PWASystem:
             row = np.argmax(np.abs(jump.b))
             figure = f"b jumps by {abs(jump.b[row]):.6g} (row '{self.states[row]}')"
         one, other = self.cell_names[facet.i], self.cell_names[facet.j]
-        hint, remedy = self._remedy(facet, tolerance)
+        remedy = Remedy(Way.TOLERANCE, (tolerance,))
+        hint = "correct the cell; for data rounded in print, a larger tolerance accepts a larger jump"
+        H, h = self.partition.H[facet.k], float(self.partition.h[facet.k])
+        origin_at_i = self.partition.signs[facet.i, facet.k] * h > 0
+        pair = (facet.j, facet.i) if origin_at_i else (facet.i, facet.j)  # first the one without the origin
+        for cell, neighbour in (pair, pair[::-1]):
+            b = continuous_offset(self.A[cell], self.A[neighbour], self.b[neighbour], H, h)
+            if b is not None and not self.b[cell].any():  # one that has none of its own
+                entries, name = ", ".join(number_text(value, ".9g") for value in b), self.cell_names[cell]
+                hint = f"b = ({entries}) in cell '{name}' would mend it"
+                remedy = Remedy(Way.OFFSET, (entries, name))
+                break
         return Problem(
             message=f"cells '{one}' and '{other}' disagree on {self.hyperplane_text(facet.k)}: {figure}, "
             f"{jump.relative:.1e} of that equation's terms there; the field must be continuous (eq. (1))",
@@ -241,21 +252,6 @@ class PWASystem:
             hint=hint,
             remedy=remedy,
         )
-
-    def _remedy(self, facet: Facet, tolerance: float) -> tuple[str, Remedy]:
-        """Propose a b for a cell without one, of the two at a facet: for the one that is not around the origin."""
-        H, h = self.partition.H[facet.k], float(self.partition.h[facet.k])
-        i, j = facet.i, facet.j
-        if self.partition.signs[i, facet.k] * h > 0:  # the origin is on the side of cell i
-            i, j = j, i
-        for cell, other in ((i, j), (j, i)):
-            b = continuous_offset(self.A[cell], self.A[other], self.b[other], H, h)
-            if b is not None and not self.b[cell].any():
-                entries = ", ".join(number_text(value, ".9g") for value in b)
-                name = self.cell_names[cell]
-                return f"b = ({entries}) in cell '{name}' would mend it", Remedy(Way.OFFSET, (entries, name))
-        hint = "correct the cell; for data rounded in print, a larger tolerance accepts a larger jump"
-        return hint, Remedy(Way.TOLERANCE, (tolerance,))
 
 
 def _matrix(rows: Any, shape: tuple[int | None, int | None], name: str) -> BallMatrix:

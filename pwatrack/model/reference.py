@@ -64,13 +64,17 @@ class SetPoint:
 Reference = OutputReference | StateReference | InputReference | SetPoint
 
 
-@dataclass(frozen=True)
-class Reset:
-    """At time t (s) the entries `where` of w take new values."""
+@dataclass(frozen=True, kw_only=True)
+class StateResets:
+    """At the times t the entries `where` of a state take new values."""
 
-    t: float
-    where: slice
-    w: Array
+    t: Array  # in s, in order, (R,)
+    where: slice  # some neighbouring entries
+    values: Array  # their new values at each of these times, (R, number of entries)
+
+    def behind(self, before: int) -> "StateResets":
+        """Return the same of a state with so many entries more before these."""
+        return replace(self, where=slice(self.where.start + before, self.where.stop + before))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +95,7 @@ class Exosystem:
     rates: NDArray[np.complex128]  # the eigenvalue of S of each entry of w, with its imaginary part ≥ 0, (p,)
     Q: Array  # (q, p), one row per signal
     w0: Array  # (p,)
-    resets: tuple[Reset, ...]  # in order of time
+    resets: tuple[StateResets, ...]  # of each signal that has some, the earliest ones first
     period: float | None  # in s, or None if the signals are constant or not periodic
     end: float | None  # last time at which all signals are defined, or None
 
@@ -121,24 +125,19 @@ class Exosystem:
         result: Array = self.derivative_rows(derivative)[-1] @ self.states(np.array([t]))[0]
         return result
 
-    def pieces(self) -> list[tuple[slice, Array, Array]]:
-        """Return the resets signal by signal: the entries of w, the times (R,), and the new values (R, entries)."""
-        found: dict[tuple[int, int], list[Reset]] = {}
-        for reset in self.resets:
-            found.setdefault((reset.where.start, reset.where.stop), []).append(reset)
-        return [
-            (slice(*where), np.array([reset.t for reset in resets]), np.array([reset.w for reset in resets]))
-            for where, resets in found.items()
-        ]
+    @property
+    def breaks(self) -> Array:
+        """When there are resets, in s, in order."""
+        return np.unique(np.concatenate([np.zeros(0), *(resets.t for resets in self.resets)]))
 
     def states(self, times: NDArray[np.floating]) -> Array:
         """Return w at some times in s, (T, p), after any reset at that time; as precisely as the times are."""
         since, w = np.tile(times[:, None], len(self.w0)), np.tile(self.w0, (len(times), 1))
-        for where, t, values in self.pieces():
-            last = np.searchsorted(t, times, side="right") - 1
+        for resets in self.resets:
+            last = np.searchsorted(resets.t, times, side="right") - 1
             past = last >= 0
-            since[past, where] = (times[past] - t[last[past]])[:, None]
-            w[past, where] = values[last[past]]
+            since[past, resets.where] = (times[past] - resets.t[last[past]])[:, None]
+            w[past, resets.where] = resets.values[last[past]]
         total = np.zeros(w.shape, dtype=since.dtype)
         with np.errstate(all="ignore"):  # what grows may be out of range
             for rate, chain in spectral_terms(self.S, self.rates):
@@ -190,23 +189,21 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
     A term p(t) e^{λt} of degree d is the chain v_j = p⁽ʲ⁾(t) e^{λt}, j = 0 … d,
     with v̇_j = λ v_j + v_{j+1}; a conjugate pair is kept as real and imaginary part.
     """
-    blocks, rows, rates, starts, resets = [], [], list[complex](), [], []
+    blocks, rows, rates, starts, resets = [], [], list[complex](), [], list[StateResets]()
     offset = 0
     for signal in signals:
-        chains = _chains(signal)
-        S, Q = zip(*(_chain(rate, length) for rate, length in chains.items()), strict=True) if chains else ((), ())
-        block, row = (block_diag(*S), np.concatenate(Q)) if chains else (np.zeros((0, 0)), np.zeros(0))
-        blocks.append(block)
-        rows.append(row)
-        rates += [rate for rate, length in chains.items() for _ in range(length * (1 if rate.imag == 0 else 2))]
+        parts, row, states = list[Array](), np.zeros(0), np.zeros((len(signal.pieces), 0))
+        for rate, c in _terms(signal).items():
+            S, Q, v = _chain(rate, c)
+            parts, row, states = [*parts, S], np.append(row, Q), np.hstack([states, v])
+            rates += [rate] * len(S)
         where = slice(offset, offset + len(row))
-        states = _chain_states(signal, chains)
+        blocks += parts
+        rows.append(row)
         starts.append(states[0])
-        resets += [
-            Reset(t, where, readonly(w))
-            for t, w in zip(signal.starts[1:], states[1:], strict=True)
-            if signal.end is None or t < signal.end
-        ]
+        t = np.array([t for t in signal.starts[1:] if signal.end is None or t < signal.end])
+        if len(t):
+            resets.append(StateResets(t=t, where=where, values=readonly(states[1 : len(t) + 1])))
         offset += len(row)
     ends = [signal.end for signal in signals if signal.end is not None]
     return Exosystem(
@@ -214,24 +211,22 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
         rates=np.array(rates, dtype=np.complex128),
         Q=readonly(block_diag(*[row[None] for row in rows]).reshape(len(signals), offset)),
         w0=readonly(np.concatenate([*starts, np.zeros(0)])),
-        resets=tuple(sorted(resets, key=lambda reset: reset.t)),
+        resets=tuple(sorted(resets, key=lambda each: each.t[0])),
         period=_period(signals),
         end=min(ends, default=None),
     )
 
 
-def beside(one: Exosystem, signals: Sequence[Signal]) -> Exosystem:
-    """Return an exosystem with more signals behind those that it has; together they have no period."""
-    other = exosystem(signals)
+def beside(one: Exosystem, other: Exosystem) -> Exosystem:
+    """Return an exosystem with the signals of another one behind those that it has; together they have no period."""
     p = len(one.w0)
-    moved = (replace(reset, where=slice(reset.where.start + p, reset.where.stop + p)) for reset in other.resets)
     return replace(
         one,
         S=readonly(block_diag(one.S, other.S)) if p else other.S,
         rates=np.concatenate([one.rates, other.rates]),
         Q=readonly(block_diag(one.Q, other.Q)),
         w0=readonly(np.concatenate([one.w0, other.w0])),
-        resets=tuple(sorted([*one.resets, *moved], key=lambda reset: reset.t)),
+        resets=tuple(sorted([*one.resets, *(own.behind(p) for own in other.resets)], key=lambda each: each.t[0])),
         period=None,
     )
 
@@ -277,39 +272,29 @@ def check_smooth(signal: Signal, r: int, *, name: str, subject: Subject) -> None
             )
 
 
-def _chains(signal: Signal) -> dict[complex, int]:
-    """Return the length of the chain for each λ with Im λ ≥ 0 that some piece needs."""
-    lengths = {
-        rate: int(np.max(np.flatnonzero(c.any(axis=0)), initial=-1)) + 1
-        for rate, c in signal.stacked().items()
-        if rate.imag >= 0
-    }
-    return {rate: length for rate, length in lengths.items() if length}
+def _terms(signal: Signal) -> dict[complex, NDArray[np.complex128]]:
+    """Return the coefficients that some piece needs, (pieces, length of the chain), of each λ with Im λ ≥ 0."""
+    terms = {rate: c for rate, c in signal.stacked().items() if rate.imag >= 0 and c.any()}
+    return {rate: c[:, : np.flatnonzero(c.any(axis=0))[-1] + 1] for rate, c in terms.items()}
 
 
-def _chain(rate: complex, length: int) -> tuple[Array, Array]:
-    shift = np.eye(length, k=1)
+def _chain(rate: complex, c: NDArray[np.complex128]) -> tuple[Array, Array, Array]:
+    """Return S and Q of a chain, and its state at the start of each piece, v_j(0) = j! c_j."""
+    length = c.shape[1]
+    v, shift = c * np.array([float(factorial(j)) for j in range(length)]), np.eye(length, k=1)
     if rate.imag == 0:
-        return rate.real * np.eye(length) + shift, np.eye(length)[0]
+        return rate.real * np.eye(length) + shift, np.eye(length)[0], v.real
     turn = np.array([[rate.real, -rate.imag], [rate.imag, rate.real]])
-    return np.kron(np.eye(length), turn) + np.kron(shift, np.eye(2)), 2.0 * np.eye(2 * length)[0]
-
-
-def _chain_states(signal: Signal, chains: dict[complex, int]) -> Array:
-    """Return the state of all chains at the start of each piece, (pieces, p): v_j(0) = j! c_j."""
-    parts, terms = [np.zeros((len(signal.pieces), 0))], signal.stacked()
-    for rate, length in chains.items():
-        v = terms[rate][:, :length] * np.array([float(factorial(j)) for j in range(length)])
-        parts.append(v.real if rate.imag == 0 else np.stack([v.real, v.imag], axis=2).reshape(len(v), -1))
-    return np.hstack(parts)
+    states = np.stack([v.real, v.imag], axis=2).reshape(len(v), -1)
+    return np.kron(np.eye(length), turn) + np.kron(shift, np.eye(2)), 2.0 * np.eye(2 * length)[0], states
 
 
 def _period(signals: Sequence[Signal]) -> float | None:
     """Return the least common period where all signals are sums of sinusoids with commensurable frequencies."""
     if any(len(signal.pieces) > 1 or signal.end is not None for signal in signals):
         return None
-    chains = [(rate, length) for signal in signals for rate, length in _chains(signal).items()]
-    if any(rate.real != 0 or length > 1 for rate, length in chains):
+    chains = [chain for signal in signals for chain in _terms(signal).items()]
+    if any(rate.real != 0 or c.shape[1] > 1 for rate, c in chains):
         return None
     return _common_period({rate.imag for rate, _ in chains if rate.imag > 0})
 

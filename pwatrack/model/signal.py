@@ -7,6 +7,7 @@ from math import comb
 
 import numpy as np
 import scipy
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from pwatrack.arrays import EPS, Array
@@ -28,8 +29,7 @@ class NotRepresentable(ValueError):
 class ExponentialPolynomial(Ring):
     """Σ_λ (c_λ0 + c_λ1 t + …) e^{λt}, real valued: λ comes with its conjugate.
 
-    The class is closed under sums, products and differentiation, and holds
-    constants, polynomials, sines, cosines and exponentials of linear arguments.
+    It is closed under sums, products and differentiation: constants, polynomials, sines, cosines and exponentials.
 
     Example:
         >>> t = ExponentialPolynomial.time()
@@ -231,9 +231,11 @@ class Signal:
         span = np.diff(starts)
         if not len(span):
             return None
+        nothing = np.zeros(len(starts), dtype=np.complex128)
         with np.errstate(all="ignore"):  # what grows may be out of range: then it is no number, and no jump
             left, middle, right = (
-                _values(terms, t) for t in (np.append(span, 0.0), np.append(span, 0.0) / 2, 0 * starts)
+                sum((polyval(t, c.T, tensor=False) * np.exp(rate * t) for rate, c in terms.items()), nothing).real
+                for t in (np.append(span, 0.0), np.append(span, 0.0) / 2, 0 * starts)
             )
             size = np.maximum(np.maximum(np.abs(left), np.abs(middle))[:-1], np.abs(right[1:]))
             scale = float((size * (1 + EPS / _JUMP * starts[1:] / span)).max())  # the break itself is rounded
@@ -256,14 +258,3 @@ class Signal:
     def _from(self, t: float) -> ExponentialPolynomial:
         k = max(0, bisect_right(self.starts, t) - 1)
         return self.pieces[k].delayed(t - self.starts[k]) if t != self.starts[k] else self.pieces[k]
-
-
-def _values(terms: Mapping[complex, ComplexArray], t: Array) -> Array:
-    """Return the value of each piece at its own time, (pieces,)."""
-    total = np.zeros(len(t), dtype=np.complex128)
-    for rate, c in terms.items():
-        value = np.zeros(len(t), dtype=np.complex128)
-        for column in c.T[::-1]:
-            value = value * t + column
-        total += value * np.exp(rate * t)
-    return np.asarray(total.real)

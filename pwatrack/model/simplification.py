@@ -41,23 +41,18 @@ def scalar_form(plant: PWASystem) -> ScalarForm | None:
         return None
     points = [x for signs in plant.partition.signs if (x := plant.partition.interior_point(signs)) is not None]
     assert len(points) == len(plant.cell_names), "every cell of a plant has an interior"
-    return None if _bends_inside(plant.partition, bends, points) else _collected(plant, bends, points)
-
-
-def with_elements(plant: PWASystem, form: ScalarForm) -> PWASystem:
-    """Return a plant with another field, and everything else as it is; elements that are lines join A and b."""
-    A, b, kept = form.A, form.b, list[Nonlinearity]()
-    for element in form.elements:
-        slopes = element.function.slopes
-        if any(slope != slopes[0] for slope in slopes):
-            kept.append(element)
-            continue
-        across, along = element.on(0)
-        A, b = A + across, b + along
-    partition, matrices, offsets = generate_cells(A, b, kept)
-    exact = replace(plant.exact, A=tuple(matrices), b=tuple(offsets))
-    written = ScalarForm(A=A, b=b, elements=tuple(kept))
-    return replace(plant, partition=partition, exact=exact, repair=None, written=written, watched=None)
+    if _bends_inside(plant.partition, bends, points):
+        return None
+    groups: dict[tuple[Row, Row], list[int]] = {}
+    for k, gamma in bends.items():
+        groups.setdefault((_direction(plant.partition.exact_H[k]), _direction(gamma)), []).append(k)
+    elements = [_element(plant, bends, members, points) for members in groups.values()]
+    A, b = plant.exact.A[0], plant.exact.b[0]
+    for element in elements:
+        s = _value(element.row, Fraction(0), points[0])
+        across, along = element.on(sum(mark.centre < s for mark in element.function.breakpoints))
+        A, b = A - across, b - along
+    return ScalarForm(A=A, b=b, elements=tuple(elements))
 
 
 def _bends(plant: PWASystem) -> dict[int, Row] | None:
@@ -74,22 +69,8 @@ def _bends(plant: PWASystem) -> dict[int, Row] | None:
     return {k: gamma for k, gamma in found.items() if any(gamma)}
 
 
-def _collected(plant: PWASystem, bends: dict[int, Row], points: Sequence[Row]) -> ScalarForm:
-    """Return the sum of all bends, those of one direction along parallel hyperplanes as one element."""
-    groups: dict[tuple[Row, Row], list[int]] = {}
-    for k, gamma in bends.items():
-        groups.setdefault((_direction(plant.partition.exact_H[k]), _direction(gamma)), []).append(k)
-    elements = [_element(plant, bends, members, points) for members in groups.values()]
-    A, b = plant.exact.A[0], plant.exact.b[0]
-    for element in elements:
-        s = _value(element.row, Fraction(0), points[0])
-        across, along = element.on(sum(mark.centre < s for mark in element.function.breakpoints))
-        A, b = A - across, b - along
-    return ScalarForm(A=A, b=b, elements=tuple(elements))
-
-
 def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int], points: Sequence[Row]) -> Nonlinearity:
-    """Return direction φ(row · x), the row that of the first hyperplane."""
+    """Return direction φ(row · x), the row that of the first hyperplane; named by the cells that it bends around."""
     partition = plant.partition
     row, direction = partition.exact_H[members[0]], _direction(bends[members[0]])
     row = row if max(row) > 0 else tuple(-v for v in row)
@@ -104,9 +85,11 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int], po
         slopes.append(slopes[-1] + change)
     first = hinges[0][0]
     value = sum((left * (first - where) for where, _, left in hinges), Fraction(0))
-    count = len(hinges)
+    count, values = len(hinges), (_value(row, Fraction(0), x) for x in points)
+    inside = [cell for cell, s in zip(plant.cell_names, values, strict=True) if first < s < hinges[-1][0]]
+    name = listed(inside, 1) if inside else linear_form_text(np.array([float(v) for v in row]), plant.states)
     return Nonlinearity(
-        name=_between(plant, points, row, first, hinges[-1][0]),
+        name=name,
         function=PiecewiseLinear(
             breakpoints=tuple(Real.of(where) for where, *_ in hinges),
             slopes=tuple(map(Real.of, slopes)),
@@ -121,13 +104,6 @@ def _element(plant: PWASystem, bends: dict[int, Row], members: Sequence[int], po
         constant=Fraction(0),
         direction=direction,
     )
-
-
-def _between(plant: PWASystem, points: Sequence[Row], row: Row, low: Fraction, high: Fraction) -> str:
-    """Return the names of the cells that lie between two values of a form, of many the first; else the form."""
-    values = (_value(row, Fraction(0), x) for x in points)
-    names = [name for name, value in zip(plant.cell_names, values, strict=True) if low < value < high]
-    return listed(names, 1) if names else linear_form_text(np.array([float(v) for v in row]), plant.states)
 
 
 def _bends_inside(partition: Partition, planes: Collection[int], points: Sequence[Row]) -> bool:
@@ -212,11 +188,19 @@ def _ways(form: ScalarForm, element: int, width: int) -> list[Simplification]:
 
 def merged(plant: PWASystem, form: ScalarForm, chosen: Mapping[int, Simplification]) -> PWASystem:
     """Return the plant f̃ in which some elements of its form are merged, each in one way; `chosen` has their numbers."""
-    elements = tuple(
-        replace(element, function=chosen[k].function) if k in chosen else element
-        for k, element in enumerate(form.elements)
-    )
-    return with_elements(plant, replace(form, elements=elements))
+    A, b, kept = form.A, form.b, list[Nonlinearity]()
+    for k, element in enumerate(form.elements):
+        one = replace(element, function=chosen[k].function) if k in chosen else element
+        slopes = one.function.slopes
+        if any(slope != slopes[0] for slope in slopes):
+            kept.append(one)
+        else:  # a line: it joins A and b
+            across, along = one.on(0)
+            A, b = A + across, b + along
+    partition, matrices, offsets = generate_cells(A, b, kept)
+    exact = replace(plant.exact, A=tuple(matrices), b=tuple(offsets))
+    written = ScalarForm(A=A, b=b, elements=tuple(kept))
+    return replace(plant, partition=partition, exact=exact, repair=None, written=written, watched=None)
 
 
 def _merged(function: PiecewiseLinear, first: int, last: int) -> PiecewiseLinear | None:

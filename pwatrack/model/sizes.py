@@ -41,13 +41,6 @@ def numbers(A: Array, B: Array, C: Array) -> tuple[Array, csr_matrix]:
     return whole[row, column], csr_matrix((sign, (at, of)), shape=(count, last + 1))
 
 
-def settled(rows: csr_matrix) -> bool:
-    """Say whether the last column is outside the span of the others."""
-    gram = (rows.T @ rows).toarray()
-    unit = np.eye(len(gram))[-1]
-    return bool(np.abs(gram @ np.linalg.lstsq(gram, unit, rcond=None)[0] - unit).max() < _LOOSE)
-
-
 def nearest_to_one(rows: csr_matrix, offset: Array, states: int) -> Array:
     """Return the θ (k,) of the least Σ e^{2r}/2 − r + ε r² with r = rows θ + offset, by Newton's method.
 
@@ -168,8 +161,10 @@ class Sizes:
         known = np.concatenate([np.full(k, np.nan) if part is None else np.asarray(part) for part, k in parts])
         values, rows = numbers(np.abs(A).max(axis=0), np.abs(B), np.abs(C))
         logs = np.append(np.log(known), np.nan)
-        if not settled(rows[:, np.isnan(logs)]):
-            logs[-1] = np.log(tempo)
+        gram = (rows[:, np.isnan(logs)].T @ rows[:, np.isnan(logs)]).toarray()
+        unit = np.eye(len(gram))[-1]
+        if not np.abs(gram @ np.linalg.lstsq(gram, unit, rcond=None)[0] - unit).max() < _LOOSE:
+            logs[-1] = np.log(tempo)  # its column is in the span of the others
         free = np.isnan(logs)
         offset = np.log(values) + rows[:, ~free] @ logs[~free]
         logs[free] = nearest_to_one(rows[:, free], offset, int(free[:n].sum()))

@@ -92,16 +92,19 @@ def _sheets(pieces: Sequence[WeightedCell]) -> dict[Row, list[WeightedCell]]:
             shape = tightest(restricted(piece.shape[:k] + piece.shape[k + 1 :], plane))
             if shape is not None:  # it never is, as the row is a border
                 found[plane].append(WeightedCell(side * piece.weight, shape, piece.owner))
-    return {plane: _comparable(facets, len(plane) - 2) for plane, facets in found.items()}
+    for plane, facets in found.items():  # by their borders alone, but for those that cancel as they are
+        weights = _weights(facets).items()
+        shapes = {shape: borders(shape, len(plane) - 2) if weight else shape for shape, weight in weights}
+        found[plane] = [replace(facet, shape=own) for facet in facets if (own := shapes[facet.shape]) is not None]
+    return found
 
 
-def _comparable(pieces: Sequence[WeightedCell], n: int) -> list[WeightedCell]:
-    """Write pieces of ℝⁿ by their borders alone, but for those that cancel as they are."""
+def _weights(pieces: Sequence[WeightedCell]) -> dict[Shape, int]:
+    """Return what all pieces of each shape count together."""
     total: dict[Shape, int] = defaultdict(int)
     for piece in pieces:
         total[piece.shape] += piece.weight
-    shapes = {shape: borders(shape, n) if weight else shape for shape, weight in total.items()}
-    return [replace(piece, shape=shape) for piece in pieces if (shape := shapes[piece.shape]) is not None]
+    return total
 
 
 def _uneven(
@@ -110,7 +113,8 @@ def _uneven(
     """Give points, off all borders, that do not count `wanted`; none if that is what almost all points count."""
     planes, even = list(sheets), True
     for plane, facets in sheets.items():
-        rest = _uncancelled(facets)
+        owner = {facet.shape: facet.owner for facet in facets}
+        rest = [WeightedCell(weight, shape, owner[shape]) for shape, weight in _weights(facets).items() if weight]
         point = next(_uneven(rest, _sheets(rest), n - 1, 0), None) if rest else None
         if point is not None:
             even = False
@@ -131,15 +135,6 @@ def _beside(point: Point, plane: Row, pieces: Sequence[WeightedCell], planes: Se
     up = [int(j == pivot(plane)) for j in range(len(plane) - 1)]
     sides = [moved(on, [sign * v for v in up], others) for sign in (1, -1)]
     return next(side for side in sides if _count(side, pieces) != wanted)
-
-
-def _uncancelled(pieces: Sequence[WeightedCell]) -> list[WeightedCell]:
-    """Return pieces that count the same in sum, without those that count 0 together because they are equal."""
-    total: dict[Shape, int] = defaultdict(int)
-    for piece in pieces:
-        total[piece.shape] += piece.weight
-    owner = {piece.shape: piece.owner for piece in pieces}
-    return [WeightedCell(weight, shape, owner[shape]) for shape, weight in total.items() if weight]
 
 
 def _count(point: Point, pieces: Sequence[WeightedCell]) -> int:

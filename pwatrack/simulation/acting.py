@@ -40,7 +40,7 @@ from pwatrack.simulation.enclosure import Segments, Spans, spans
 from pwatrack.simulation.flow import Flow, Mode
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong, with_loads
-from pwatrack.simulation.propagate import pieces, sample_count, trace_blocks
+from pwatrack.simulation.propagate import trace_blocks
 from pwatrack.simulation.recursions import recursion
 from pwatrack.simulation.trace import Trace
 
@@ -126,10 +126,9 @@ def _outside(
         step = h / parts
         segments = along(disturbance, count * step, steps=count)
         at = np.clip(np.floor(segments.t / step + _ON_TICK).astype(np.int64), 0, count - 1)
-        squares = np.zeros((count, len(rows)))
-        np.add.at(squares, at, spans(segments, lambda _: rows).squares)
+        squares = spans(segments, lambda _: rows).in_steps(at).squares
         if loads.steps:  # of a difference
-            times = np.array([0.0, *(reset.t for reset in disturbance.resets)])
+            times = np.append(0.0, disturbance.breaks)
             sizes = (np.abs(disturbance.states(times)) @ np.abs(disturbance.Q).T).max(axis=0)
             squares[squares <= (ROUNDING * sizes) ** 2 * step] = 0.0
         found |= {("disturbance", k): square / step for k, square in enumerate(squares.T)}
@@ -144,39 +143,6 @@ def _outside(
     found |= {("noise", k): off[ticks, k] ** 2 for k in range(off.shape[1])}
     around = OffTime.of(errors.gains).most
     return {channel: around(each) for channel, each in found.items()}
-
-
-class _Substeps:
-    """What is known of rows in each of so many substeps, as segments come: of each name an array (K, …)."""
-
-    def __init__(self, count: int) -> None:
-        self.count, self._first = count, 0
-        self.most, self.squares, self.areas = dict[str, Array](), dict[str, Array](), dict[str, Array]()
-        self.near = dict[str, Array]()  # how near to 0
-        self.high, self.low = dict[str, Array](), dict[str, Array]()
-
-    def see(self, found: Spans, at: IntArray, rows: Mapping[str, slice]) -> None:
-        """Take the next segments into account, with the substep of the block that each is in."""
-        at = at + self._first
-        for name, columns in rows.items():
-            low, high = found.low[:, columns], found.high[:, columns]
-            if name not in ("moved", "planes", "planes of x_d", "x_hat", "y"):
-                self._put(np.maximum, self.most, name, at, np.maximum(np.abs(low), np.abs(high)), 0.0)
-            if name in ("nominal", "moved"):
-                self._put(np.add, self.squares, name, at, found.squares[:, columns], 0.0)
-            if name == "moved":
-                self._put(np.add, self.areas, name, at, found.areas[:, columns], 0.0)
-            if name == "planes":
-                self._put(np.minimum, self.near, name, at, np.maximum(np.maximum(low, -high), 0.0), np.inf)
-            if name == "planes of x_d":
-                self._put(np.maximum, self.high, name, at, high, -np.inf)
-                self._put(np.minimum, self.low, name, at, low, np.inf)
-        self._first = int(at[-1]) + 1
-
-    def _put(self, by: np.ufunc, into: dict[str, Array], name: str, at: IntArray, values: Array, none: float) -> None:
-        if name not in into:
-            into[name] = np.full((self.count, values.shape[1]), none)
-        by.at(into[name], at, values)
 
 
 class _Walk:
@@ -212,41 +178,33 @@ class _Walk:
 
     def walked(self, eta: Array, duration: float) -> Acting:
         """Return what acts by the reference alone."""
-        found, off = _Substeps(sample_count(duration, self._step)), self._off
-        for segments, at in self._segments(eta, duration):
-            rows = self._slices(segments.modes[0])
-            seen = spans(segments, lambda mode: np.vstack([*self._rows(mode).values()]))
-            found.see(seen, at, rows)
-            for name in ("x_hat", "y"):
-                self._see(name, seen.low[:, rows[name]], seen.high[:, rows[name]])
-        p, m, n = len(self._followed), self._m, self._n
-        squares, moved = (found.squares[name] * OVER_POWERS / self._step for name in ("nominal", "moved"))
+        found, off = self._found(eta, duration), self._off
+        p, m, n, count = len(self._followed), self._m, self._n, len(found["nominal"].low)
+        squares, moved = (found[name].squares * OVER_POWERS / self._step for name in ("nominal", "moved"))
         moved[:, np.sqrt(moved.max(axis=0, initial=0.0)) <= ROUNDING * self._largest[m:]] = 0.0
         squares[:, np.sqrt(squares.max(axis=0, initial=0.0)) <= ROUNDING * self._sizes] = 0.0
-        nominal = off.means(squares, found.most["nominal"] * (squares.max(axis=0, initial=0.0) > 0))
-        inputs, tracked = off.most(found.most["input"]), off.most(found.most["tracked"])
+        nominal = off.means(squares, found["nominal"].most * (squares.max(axis=0, initial=0.0) > 0))
+        inputs, tracked = off.most(found["input"].most), off.most(found["tracked"].most)
         inputs[inputs <= ROUNDING * self._largest[:m]] = 0.0
         of: dict[Channel, Array] = {("nominal", k): nominal[:, k] for k in range(p)}
         of |= {("moved", k): each for k, each in enumerate(moved.T)}
         beside: dict[Form, Array] = {(self._kind, k): each for k, each in enumerate(tracked.T)}
         rate = self._rates(found)
-        drawn = (found.most["drawn"] + off.theta * rate["V"]) @ self._U.T * OVER_POWERS
-        away = np.zeros((found.count, n))
-        for k, each in zip(self._differs.of, off.most(found.most["away"]).T, strict=True):
+        drawn = (found["drawn"].most + off.theta * rate["V"]) @ self._U.T * OVER_POWERS
+        away = np.zeros((count, n))
+        for k, each in zip(self._differs.of, off.most(found["away"].most).T, strict=True):
             away[:, k] = np.maximum(away[:, k], each)
         pushed = (1 + off.late) * OVER_POWERS * away + off.late * drawn
         of |= {("disturbance", k): each**2 for k, each in enumerate(pushed.T)}
         of |= {("drawn", k): each**2 for k, each in enumerate(drawn.T)}
-        means: dict[Channel, Array] = {("moved", k): each / self._step for k, each in enumerate(found.areas["moved"].T)}
+        means: dict[Channel, Array] = {("moved", k): each / self._step for k, each in enumerate(found["moved"].areas.T)}
         if off.theta:
             of |= self._off_time(rate, nominal)
             means |= {("swap", k): each for k, each in enumerate(self._swaps(inputs).T)}
             of |= {channel: each**2 for channel, each in means.items() if channel[0] == "swap"}
             beside |= {("estimate", k): off.theta * each for k, each in enumerate(rate["x"].T)}
         if self._made:
-            u, eta = (
-                np.repeat(np.vstack(each), self._parts, axis=0)[: found.count] for each in zip(*self._made, strict=True)
-            )
+            u, eta = (np.repeat(np.vstack(each), self._parts, axis=0)[:count] for each in zip(*self._made, strict=True))
             inputs = inputs + u
             of |= {("cell", k): each**2 * OVER_POWERS for k, each in enumerate(u.T)}
             of |= {("eta", k): each**2 * OVER_POWERS for k, each in enumerate(eta.T)}
@@ -257,20 +215,34 @@ class _Walk:
             means={channel: each * OVER_POWERS for channel, each in means.items()},
             beside=beside,
             planes=self._plant.model.partition.H,
-            near=found.near["planes"],
+            near=found["planes"].near,
             apart=self._apart(found),
             changes=changes.max(axis=0) * OVER_POWERS,
             loads=self._stepping,
             along=self._along,
         )
 
-    def _rates(self, found: _Substeps) -> dict[str, Array]:
+    def _found(self, eta: Array, duration: float) -> dict[str, Spans]:
+        """Return what rows of each name are within in each substep, with squares and areas of the first two."""
+        found, summed = list[Spans](), len(self._followed) + self._q
+        for segments, at in self._segments(eta, duration):
+            seen = spans(segments, lambda mode: np.vstack([*self._rows(mode).values()])).in_steps(at)
+            found.append(seen._replace(squares=seen.squares[:, :summed], areas=seen.areas[:, :summed]))
+        rows = self._rows((0,))
+        ends = np.cumsum([*map(len, rows.values())])[:-1]
+        whole = (np.split(np.vstack(each), ends, axis=1) for each in zip(*found, strict=True))
+        named = dict(zip(rows, map(Spans, *whole), strict=True))
+        self._along |= {name: np.column_stack(named[name].ends) for name in ("x_hat", "y")}
+        return named
+
+    def _rates(self, found: Mapping[str, Spans]) -> dict[str, Array]:
         """Return how fast x_n = x_d + e₀ is at most at any t: x_n', C x_n', V x_d', and R x_d' beside R e₀'."""
         ends, rates = np.abs(self._along["x_hat"]).max(axis=1), dict[str, Array]()
         terms = np.abs(self._A0) @ ends + np.abs(self._plant.B) @ self._largest[: self._m]
         rows = {"x": np.eye(self._n), "C": self._plant.C, "V": self._V, "R": np.vstack([self._R, self._R])}
         for name, of in rows.items():
-            each = self._off.most(found.most.get(f"rate of {name}", np.zeros((found.count, len(of)))))
+            seen = found.get(f"rate of {name}")
+            each = np.zeros((len(found["nominal"].low), len(of))) if seen is None else self._off.most(seen.most)
             rates[name] = each * (each.max(axis=0, initial=0.0) > ROUNDING * (np.abs(of) @ terms))
         return rates
 
@@ -296,14 +268,14 @@ class _Walk:
         changes[:, changes.max(axis=0, initial=0.0) <= ROUNDING * self._largest[: self._m]] = 0.0
         return self._off.swaps(changes, len(inputs)) * OVER_POWERS
 
-    def _apart(self, found: _Substeps) -> Array:
+    def _apart(self, found: Mapping[str, Spans]) -> Array:
         """Return how near x_d comes to planes in each sample, with x_d of the program at its tick, (K, P)."""
         if not self._made:
-            return found.near["planes"]
-        count, planes, r = found.count, self._plant.model.partition, self._parts
+            return found["planes"].near
+        seen, planes, r = found["planes of x_d"], self._plant.model.partition, self._parts
+        count = len(seen.low)
         whole = np.full((2, -(-count // r) * r, len(planes.H)), -np.inf)
-        name = "planes of x_d"
-        whole[:, :count] = self._off.most(found.high[name]), self._off.most(-found.low[name])
+        whole[:, :count] = self._off.most(seen.high), self._off.most(-seen.low)
         held = np.vstack(self._known)[: whole.shape[1] // r] @ planes.H.T + planes.h
         whole = whole.reshape(2, whole.shape[1] // r, r, len(planes.H)).max(axis=2)
         high, low = np.maximum(whole[0], held), np.minimum(-whole[1], held)
@@ -313,12 +285,6 @@ class _Walk:
         """Take lower and upper ends of some numbers, (K, k) each, into account."""
         ends = np.column_stack([low.min(axis=0), high.max(axis=0)])
         self._along[name] = joined(ends, self._along.get(name, ends))
-
-    def _slices(self, mode: Mode) -> dict[str, slice]:
-        """Return where rows of each name are."""
-        rows = self._rows(mode)
-        ends = np.cumsum([0, *map(len, rows.values())]).tolist()
-        return dict(zip(rows, map(slice, ends[:-1], ends[1:]), strict=True))
 
     def _rows(self, mode: Mode) -> dict[str, Array]:
         """Return rows on (e₀, what is held, η̂, w, 1), by names.
@@ -356,7 +322,7 @@ class _Walk:
         """Yield the walk block by block, with the substep of the block that each segment is in."""
         system, p, held = self._trajectory.exosystem, len(eta), Held(self._runs, eta, self._loads)
         flow, z0 = self._flow, np.concatenate([eta, system.w0, [1.0]])
-        resets = pieces(system, slice(p, p + len(system.w0)))
+        resets = [each.behind(p) for each in system.resets]
         for trace in trace_blocks(
             flow, z0, duration=duration, sample_time=self._step, resets=resets, most=BLOCK * self._parts
         ):

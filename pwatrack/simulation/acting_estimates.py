@@ -74,7 +74,10 @@ class OtherCells:
         p = trajectory.rate.shape[1]
         self._fixed = ~self._guards[:, : loads + p * bool(errors.estimates.eta)].any(axis=1)
         self._eta = h * means(self._flows, h)[:, loads : loads + errors.estimates.eta]
-        self._held = self._u_ff @ _second(self._flows, h)
+        zero, eye = np.zeros(self._flows.shape[1:]), np.eye(len(self._flows[0]))
+        wholes = (np.block([[F * h, eye, zero], [zero, zero, eye], [zero, zero, zero]]) for F in self._flows)
+        seconds = [h * expm(whole)[: len(eye), 2 * len(eye) :] for whole in wholes]  # Q(Φ) = ∫ (h − τ) e^(Φ τ) dτ / h
+        self._held = self._u_ff @ np.array(seconds)
         self._T = [np.eye(n)] * len(self._flows) if form is None else form.T
         self._back = [np.eye(n)] * len(self._flows) if form is None else form.T_inverse
         self._push = np.linalg.pinv(controller.plant.B)
@@ -104,13 +107,3 @@ class OtherCells:
                 each[:, each.max(axis=0) <= least] = 0.0
                 u[at], eta[at] = np.maximum(u[at], each[:, :m]), np.maximum(eta[at], each[:, m:])
         return u * OVER_SUMS, eta * OVER_SUMS
-
-
-def _second(flows: Array, h: float) -> Array:
-    """Return Q(Φ) = ∫ (h − τ) e^(Φ τ) dτ / h of each."""
-    N, found = flows.shape[1], list[Array]()
-    zero, eye = np.zeros((N, N)), np.eye(N)
-    for F in flows:
-        whole = np.block([[F * h, eye, zero], [zero, zero, eye], [zero, zero, zero]])
-        found.append(h * expm(whole)[:N, 2 * N :])
-    return np.array(found)

@@ -1,8 +1,9 @@
 """Whether the plant's own response x_d(t) to given inputs stays bounded: Theorem 2 needs that."""
 
+from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from math import e, factorial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, solve_sylvester
@@ -28,14 +29,6 @@ _SOLVED = 1e-9  # of the terms of an equation: what is missed by less is roundin
 _CLEAR = 1e-6  # of the terms of a bound: what leaves more than this is no rounding
 
 
-class _Walked(NamedTuple):
-    """What was seen of x_d in a time."""
-
-    tenths: Array  # largest |x_d| in each tenth by state, (10, n), inf beyond bounds
-    cell: int  # at the end
-    z: Array  # (x_d, w, 1) at the end
-
-
 def bounded_response(
     plant: PWASystem, trajectory: DesiredTrajectory, *, horizon: float, subject: Subject = ()
 ) -> DesiredTrajectory:
@@ -54,13 +47,24 @@ def bounded_response(
     if trajectory.eta0 is None:
         return unproved
     try:
-        run = _walked(plant, trajectory, horizon)
+        most, cell, z = _walked(plant, trajectory, horizon)
     except Undecided:  # too long a walk
         return unproved
-    if np.isfinite(run.tenths).all() and _stays(plant, trajectory, run, horizon):
+    if np.isfinite(most).all() and _stays(plant, trajectory, cell, z, horizon):
         return trajectory
-    if _grows(plant, trajectory, run, horizon) and _goes_on(plant, trajectory, run, horizon):
-        raise CheckFailed(_growth(plant, run, horizon, subject))
+    grows = _grows(plant, trajectory, most, horizon)
+    if grows and trajectory.exosystem.end is not None:
+        grows = bool(np.linalg.eigvals(plant.A[cell]).real.max() > 0)
+    elif grows:
+        with suppress(Undecided):
+            longer = _walked(plant, trajectory, _FURTHER * horizon)[0]
+            grows = _grows(plant, trajectory, longer, _FURTHER * horizon)
+    if grows:
+        last, before = most[-1], np.maximum(most[:-1].max(axis=0), TINY)
+        k = int(np.argmax(last / before))
+        reached = f"{last[k]:.3g}" if np.isfinite(last[k]) else "more than 1e+100"
+        seen = f"|{plant.states[k]}| reaches {reached} in the last tenth of {horizon:g} s, {before[k]:.3g} before"
+        raise CheckFailed(_unbounded(f"x_d grows without bound, as far as can be seen: {seen}", subject))
     return unproved
 
 
@@ -84,16 +88,6 @@ def left_by_rounding(found: SteadyState, *, duration: float, subject: Subject = 
     )
 
 
-def _goes_on(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizon: float) -> bool:
-    """Whether what grows up to the horizon still grows long after it; unstable at the end, where the inputs end."""
-    if trajectory.exosystem.end is not None:
-        return bool(np.linalg.eigvals(plant.A[run.cell]).real.max() > 0)
-    try:
-        return _grows(plant, trajectory, _walked(plant, trajectory, _FURTHER * horizon), _FURTHER * horizon)
-    except Undecided:
-        return True
-
-
 def _convergent(plant: PWASystem) -> bool:
     if np.linalg.eigvals(plant.A).real.max() >= 0:
         return False
@@ -104,44 +98,32 @@ def _convergent(plant: PWASystem) -> bool:
     return exactly(PLANT, [A_i.transpose() for A_i in different(plant.exact.A)], found) is not None
 
 
-def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> _Walked:
+def _walked(plant: PWASystem, trajectory: DesiredTrajectory, duration: float) -> tuple[Array, int, Array]:
+    """Return the largest |x_d| in each tenth by state, (10, n), inf beyond bounds; cell and (x_d, w, 1) at the end."""
     assert trajectory.eta0 is not None
     n = len(trajectory.eta0)
     z = np.concatenate([trajectory.eta0, trajectory.exosystem.w0, [1.0]])
-    largest, cell = np.zeros((10, n)), plant.partition.locate(trajectory.eta0)
-    edges, seen = tenths(STEPS + 1), 0
+    largest, cell, seen = np.zeros((10, n)), plant.partition.locate(trajectory.eta0), np.zeros((0, n))
     try:
         for trace in blocks(plant, trajectory, z, duration):
-            number = np.searchsorted(edges[1:-1], np.arange(seen, seen + len(trace.t)), side="right")
-            for k in np.unique(number):
-                largest[k] = np.maximum(largest[k], np.abs(trace.z[number == k, :n]).max(axis=0))
-            seen += len(trace.t)
+            seen = np.vstack([seen, np.abs(trace.z[:, :n])])
             z, cell = trace.z[-1], int(trace.modes[-1, 0])
     except CheckFailed:  # beyond all bounds
         largest[-1] = np.inf
-    return _Walked(largest, cell, z)
+    for k, (first, last) in enumerate(pairwise(tenths(STEPS + 1))):
+        largest[k] = np.maximum(largest[k], seen[first:last].max(axis=0, initial=0.0))
+    return largest, cell, z
 
 
-def _grows(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, duration: float) -> bool:
+def _grows(plant: PWASystem, trajectory: DesiredTrajectory, most: Array, duration: float) -> bool:
     """Whether |x_d| in the last tenth is above all before it, and above the size of start and inputs."""
     d, system = balancing(plant.A), trajectory.exosystem
-    size = np.linalg.norm(run.tenths / d, axis=1)
+    size = np.linalg.norm(most / d, axis=1)
     times = np.linspace(0.0, duration, 200)
     inputs = np.linalg.norm(system.states(times) @ (plant.B @ system.Q).T / d, axis=1).max(initial=0.0)
     rate = max(float(np.linalg.norm(plant.A / d[:, None] * d, 2, axis=(1, 2)).max()), 1 / duration)
     assert trajectory.eta0 is not None
     return bool(size[-1] > _MORE * max(size[:-1].max(), np.linalg.norm(trajectory.eta0 / d), inputs / rate))
-
-
-def _growth(plant: PWASystem, run: _Walked, horizon: float, subject: Subject) -> Problem:
-    last, before = run.tenths[-1], np.maximum(run.tenths[:-1].max(axis=0), TINY)
-    k = int(np.argmax(last / before))
-    reached = f"{last[k]:.3g}" if np.isfinite(last[k]) else "more than 1e+100"
-    return _unbounded(
-        f"x_d grows without bound, as far as can be seen: |{plant.states[k]}| reaches {reached} in the last "
-        f"tenth of {horizon:g} s, {before[k]:.3g} before",
-        subject,
-    )
 
 
 def _unbounded(what: str, subject: Subject) -> Problem:
@@ -153,13 +135,13 @@ def _unbounded(what: str, subject: Subject) -> Problem:
     )
 
 
-def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizon: float) -> bool:
+def _stays(plant: PWASystem, trajectory: DesiredTrajectory, i: int, z: Array, horizon: float) -> bool:
     """Prove that x_d = X (w, 1) + e^{At} e never again leaves its cell, which is stable, and so stays bounded.
 
     With AᵀP + PA ≺ 0, |h e^{At} e| ≤ (h P⁻¹ hᵀ)^½ (eᵀ P e)^½; each term t^m e^{λt} of X (w, 1) has a largest size.
     """
-    system, n, i = trajectory.exosystem, plant.A.shape[1], run.cell
-    if system.end is not None or any(reset.t > horizon for reset in system.resets):
+    system, n = trajectory.exosystem, plant.A.shape[1]
+    if system.end is not None or (system.breaks > horizon).any():
         return False
     if not is_hurwitz(plant.exact.A[i].centre):
         return False
@@ -175,8 +157,8 @@ def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizo
     definite = np.linalg.eigvalsh(P)[0] > 0 and np.linalg.eigvalsh(A.T @ P + P @ A)[-1] < -0.5
     if not (solved and definite):
         return False
-    w = run.z[n:]
-    away = run.z[:n] / d - X @ w
+    w = z[n:]
+    away = z[:n] / d - X @ w
     bounding = np.flatnonzero(plant.partition.signs[i])
     H = plant.partition.signs[i][bounding, None] * plant.partition.H[bounding] * d
     h = plant.partition.signs[i][bounding] * plant.partition.h[bounding]
@@ -188,12 +170,7 @@ def _stays(plant: PWASystem, trajectory: DesiredTrajectory, run: _Walked, horizo
             if rate == 0 and m == 0:
                 level += part.real
             else:
-                swing += np.abs(part) * _largest(rate.real, m)
+                grows = rate.real > 0 or (rate.real == 0 and m)
+                largest = np.inf if grows else (m / (e * -rate.real)) ** m / factorial(m) if m else 1.0
+                swing += np.abs(part) * largest  # of t^m e^{rate t} / m! for t ≥ 0
     return bool((level - swing - reach > _CLEAR * (np.abs(level) + swing + reach)).all())
-
-
-def _largest(rate: float, m: int) -> float:
-    """Return the largest t^m e^{rate t} / m! for t ≥ 0."""
-    if rate > 0 or (rate == 0 and m):
-        return float("inf")
-    return (m / (e * -rate)) ** m / factorial(m) if m else 1.0

@@ -11,10 +11,10 @@ from pwatrack.control.program import SampledController, program
 from pwatrack.control.realisable import ROUNDING
 from pwatrack.model.conditions import NOMINAL, Conditions, Noise
 from pwatrack.model.pwa import PWASystem
-from pwatrack.model.reference import Exosystem
+from pwatrack.model.reference import Exosystem, StateResets
 from pwatrack.simulation.flow import Clock, Flow, Mode, SwitchedPart
 from pwatrack.simulation.layout import Actuator, Layout, actuators, rate_limits
-from pwatrack.simulation.propagate import StateResets, pieces, sample_count
+from pwatrack.simulation.propagate import sample_count
 from pwatrack.simulation.trace import Trace
 
 _GENERATOR = 2  # the part of the flow that has the cells of x_d
@@ -57,12 +57,13 @@ class ClosedLoop:
     def resets(self, duration: float) -> list[StateResets]:
         """Return all that takes new values up to a time (s): exosystems at their pieces, and the noise."""
         at, conditions = self.at, self.conditions
-        trajectory = self.controller.trajectory
-        found = pieces(trajectory.exosystem, at.w)
+        trajectory, systems = self.controller.trajectory, list[tuple[Exosystem, slice]]()
+        systems.append((trajectory.exosystem, at.w))
         if trajectory.preview is not None and at.rho.stop > at.rho.start:
-            found += pieces(trajectory.preview.left, at.rho)
+            systems.append((trajectory.preview.left, at.rho))
         if conditions.disturbance is not None:
-            found += pieces(conditions.disturbance, at.d)
+            systems.append((conditions.disturbance, at.d))
+        found = [each.behind(where.start) for system, where in systems for each in system.resets]
         if conditions.noise is not None:
             found.append(StateResets(**drawn(conditions.noise, duration), where=at.v))
         return found
@@ -202,7 +203,12 @@ def closed_loop(
     off = model.C @ (x_hat - x) - (y - model.C @ x)  # ŷ − y: of an observer that has the plant's C, C (x̂ − x) alone
     if sampling:  # both are held
         steady, switched, off = z[at.u], np.zeros_like(u_ff), model.C @ x_hat - z[at.y]
-    F0 = _exosystems(trajectory.exosystem, conditions, at) + at.driven(steady, plant, model) + _loads(model, at)
+    F0 = at.driven(steady, plant, model) + _loads(model, at)
+    for where in (at.w, at.w_held) if at.w_held.stop > at.w_held.start else (at.w,):
+        F0[where, where] = trajectory.exosystem.S
+    if conditions.disturbance is not None:
+        F0[at.d, at.d] = conditions.disturbance.S
+        F0[at.x, at.d] += conditions.disturbance.Q
     F0[at.observer] += L @ off
     F = np.array([at.driven(rows, plant, model) for rows in switched])
     F[:, at.eta_hat] += trajectory.rate @ reference + added.rate @ s_hat
@@ -240,17 +246,6 @@ def _limits(
     if conditions.rates is not None and sampling:
         parts += rate_limits(conditions.rates * sampling.sample_time, model, at)
     return parts
-
-
-def _exosystems(reference: Exosystem, conditions: Conditions, at: Layout) -> Array:
-    """Return what drives itself: the reference, for a program also a copy, and disturbances, (N, N)."""
-    F = np.zeros((at.order, at.order))
-    F[at.w, at.w] = reference.S
-    if at.w_held.stop > at.w_held.start:
-        F[at.w_held, at.w_held] = reference.S
-    if conditions.disturbance is not None:
-        F[at.d, at.d], F[at.x, at.d] = conditions.disturbance.S, conditions.disturbance.Q
-    return F
 
 
 def _loads(model: PWASystem, at: Layout) -> Array:
@@ -304,13 +299,8 @@ def _counted(
 def _sampled(flow: Flow, program: SampledController, conditions: Conditions, at: Layout, *, measured: Array) -> Flow:
     """Return a closed loop whose controller runs at every multiple of a sample time: the program of docs/arithmetic.md.
 
-    At each tick the program steps observer and generator on from the last tick, in the cells they were in then,
-    with the input and the measured output that it holds. Then it measures and computes the new input, keeps it from
-    changing too fast, and cuts it off at the limits of the actuator; where it is late, the input goes behind those
-    that wait, and the first of them is put out. What is measured and what is put out are whole multiples of their
-    quanta. The first tick, at t = 0, has no step. In the given flow observer and generator move in continuous time
-    under held u, y and w. Of a program that corrects, x_d is what (15) makes of the reference in continuous time: what
-    its own steps leave of that is an error of the loop.
+    In the given flow observer and generator move in continuous time under held u, y and w. Of a program that corrects
+    x_d is what (15) makes of the reference in continuous time: what its steps leave of that is an error of the loop.
     """
     F0, corrects = flow.F0.copy(), program.sampling.corrects
     F0[at.observer], F0[at.w_held] = 0.0, 0.0

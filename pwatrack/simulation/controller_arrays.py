@@ -81,7 +81,9 @@ def memory(
     """
     at = program.places
     found = np.zeros(at["x_d"].stop, dtype=real)
-    eta_hat = _gone_on(program, np.asarray(x_hat), np.asarray(eta_hat))
+    for w in () if program.follows is None else program.follows.early:
+        known = np.concatenate([np.asarray(x_hat)[program.sizes["n"] :], eta_hat, w, [1.0]])
+        eta_hat = program.generator[cell(program.sides, program.guards @ known)] @ known
     found[at["x_hat"].start : at["s_hat"].stop], found[at["eta_hat"]] = x_hat, eta_hat
     found[at["course"]][3::4] = program.pace[:, 0]
     past = [
@@ -93,15 +95,6 @@ def memory(
     if program.follows is not None:
         found[at["w"]], found[at["copies"]] = program.follows.w0, np.tile(program.follows.w0, 2)
     return {"memory": found, "counts": np.zeros(2, COUNTS), "room": np.zeros(at["made"].stop, dtype=real)}
-
-
-def _gone_on(program: SampledController, x_hat: Array, eta_hat: Array) -> Array:
-    """Return η̂ at the tick at which the first input acts; as it is where w is given."""
-    n = program.sizes["n"]
-    for w in () if program.follows is None else program.follows.early:
-        known = np.concatenate([x_hat[n:], eta_hat, w, [1.0]])
-        eta_hat = program.generator[cell(program.sides, program.guards @ known)] @ known
-    return eta_hat
 
 
 def cell(signs: IntArray, g: Array) -> int:

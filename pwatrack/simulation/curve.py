@@ -221,13 +221,14 @@ def played(
     looked = look(trajectory, cut, w.astype(np.float64), off, sharp=True)
     z = np.hstack([cut.c[:, :, 0], w.astype(np.float64), np.ones((len(cut.c), 1))])
     cells = looked.cells()[np.searchsorted(looked.start, cut.start)]
+    ends = (pieces.c * pieces.length[:, None, None] ** np.arange(pieces.c.shape[2])).sum(axis=2)
     return tuple(_signal(start, np.tile(pieces.c[:, k], (turns, 1))) for k in range(p)), NoncausalTrajectory(
         names=trajectory.names,
         residual=looked.residual.max(axis=0),
         terms=np.einsum("nps,ns->np", np.abs(trajectory.rate[cells]), np.abs(z)).max(axis=0),
         left=_left(trajectory, pieces, cut, looked, turns, period),
         times=start[1:],
-        jumps=_jumps(pieces, turns),
+        jumps=np.abs(np.roll(pieces.c[:, :, 0], -1, axis=0) - ends)[np.arange(len(start) - 1) % len(ends)],
         lead=None,
     )
 
@@ -270,11 +271,3 @@ def _left(
         starts.append(begin[piece] + since)
     all_ = np.concatenate(found)
     return exosystem([_signal(np.concatenate(starts), all_[:, k]) for k in range(all_.shape[1])])
-
-
-def _jumps(pieces: Pieces, turns: int) -> Array:
-    """Return by how much polynomials that follow each other, some turns of them, jump from one to the next, (K, p)."""
-    c, span = pieces.c, pieces.length[:, None]
-    last = (c * span[:, :, None] ** np.arange(c.shape[2])).sum(axis=2)
-    jumps = np.abs(np.roll(c[:, :, 0], -1, axis=0) - last)
-    return np.asarray(jumps[np.arange(turns * len(c) - 1) % len(c)])

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from pwatrack.arrays import TINY, Array
@@ -16,7 +15,7 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import Exosystem
 from pwatrack.simulation.enclosure import Segments, enclosed
 from pwatrack.simulation.flow import Flow, SwitchedPart
-from pwatrack.simulation.propagate import pieces, trace_blocks
+from pwatrack.simulation.propagate import trace_blocks
 from pwatrack.simulation.trace import Trace
 
 STEPS = 2000  # from sample to sample, of a walk
@@ -51,7 +50,7 @@ def blocks(plant: PWASystem, trajectory: DesiredTrajectory, z0: Array, duration:
             subject=(ProblemPart.REFERENCE,),
             hint="shorten the simulation, or choose frequencies with whole-number ratios: one period is enough",
         )
-    resets = pieces(system, slice(p, p + len(system.w0)))
+    resets = [each.behind(p) for each in system.resets]
     flow, step = desired_flow(plant, trajectory), duration / STEPS
     return trace_blocks(flow, z0, duration=duration, sample_time=step, resets=resets, most=_BLOCK)
 
@@ -84,7 +83,7 @@ def realised(
     no u_ff satisfies (3): first time and cell, state equations and sizes; Undecided if the walk would take too long.
     """
     system = trajectory.exosystem
-    starts = np.unique(np.append(0.0, np.array([r.t for r in system.resets if r.t < horizon])))
+    starts = np.unique(np.append(0.0, system.breaks[system.breaks < horizon]))
     ends = np.append(starts[1:], horizon)
     rest = left_over(plant, trajectory)
     left, size = rest.sizes(starts, ends - starts)
@@ -94,26 +93,17 @@ def realised(
     if wrong.any():
         periodic = system.period is not None and system.period <= horizon
         duration = system.period if periodic and system.period is not None else horizon
-        for cell, start, end in _wrong_stays(plant, trajectory, duration, wrong):
-            problems = _problems(plant, rest, cell, start, end, scale, subject)
-            if problems:
-                raise OutsideTheory(*problems)
+        starts = starts[starts < duration]
+        ends = np.append(starts[1:], np.inf)
+        walked = stays(plant, trajectory, np.append(system.w0, 1.0), duration) if len(plant.A) > 1 else None
+        for cell, start, end in walked or [(0, 0.0, duration)]:
+            first, last = np.searchsorted(starts, [start, end], side="right") - 1
+            for k in first + np.flatnonzero(wrong[cell, first : last + 1]):
+                problems = _problems(plant, rest, cell, max(start, starts[k]), min(end, ends[k]), scale, subject)
+                if problems:
+                    raise OutsideTheory(*problems)
         everywhere = periodic
     return trajectory if everywhere and system.end is None else replace(trajectory, until=horizon)
-
-
-def _wrong_stays(
-    plant: PWASystem, trajectory: DesiredTrajectory, duration: float, wrong: NDArray[np.bool_]
-) -> Iterator[tuple[int, float, float]]:
-    """Yield (cell, from, to) of what x_d spends on one piece in a cell where (3) does not hold there."""
-    system = trajectory.exosystem
-    starts = np.unique(np.append(0.0, [r.t for r in system.resets if r.t < duration]))
-    walked = stays(plant, trajectory, np.append(system.w0, 1.0), duration) if len(plant.A) > 1 else ()
-    for cell, start, end in walked or [(0, 0.0, duration)]:
-        first, last = np.searchsorted(starts, [start, end], side="right") - 1
-        for k in range(first, last + 1):
-            if wrong[cell, k]:
-                yield cell, max(start, starts[k]), min(end, starts[k + 1] if k + 1 < len(starts) else end)
 
 
 def _problems(
@@ -176,8 +166,7 @@ def w_alone(gains: Array, p: int) -> bool:
 
 def along(system: Exosystem, duration: float, *, before: int = 0, steps: int = STEPS) -> Segments:
     """Return (0, w, 1), with so many 0 before w, from piece to piece of an exosystem, and step to step of the time."""
-    breaks = [reset.t for reset in system.resets if reset.t < duration]
-    t = np.unique([*np.linspace(0.0, duration, steps + 1), *breaks])
+    t = np.unique([*np.linspace(0.0, duration, steps + 1), *system.breaks[system.breaks < duration]])
     zeta = np.hstack([np.zeros((len(t), before)), system.states(t), np.ones((len(t), 1))])
     F = block_diag(np.zeros((before, before)), system.S, np.zeros((1, 1)))
     number, length = np.zeros(len(t), dtype=np.int64), np.diff(t, append=t[-1])

@@ -107,16 +107,19 @@ class _Pieces(NamedTuple):
     length: Array
 
 
-class Transitions:
-    """What is known of e^{Fσ} in a mode."""
+class _Tables:
+    """What is known of e^{Fσ} and of some rows in a mode; transposed where products run along rows."""
 
-    def __init__(self, F: Array) -> None:
+    def __init__(self, F: Array, rows: Array, degree: int = _DEGREE) -> None:
         d = balancing(F[None])
         norm = max(float(np.linalg.norm(F / d[:, None] * d)), TINY)
-        self.F, self.s = F, 2.0 ** np.floor(np.log2(_SHORT / norm))
+        self._F, self.s, self.rows, self.u = F, 2.0 ** np.floor(np.log2(_SHORT / norm)), rows.T, unit(len(F))
+        self.degree, self.numbers = degree, len(F) + (degree + 2) * len(rows)  # of each piece
         terms = taylor(F * self.s)
         self._turns = {0: terms[::-1, 0].sum(axis=0)}
         self._reach = [OVER_SUMS * terms[::-1, 1].sum(axis=0)]
+        self._terms: dict[int, Array] = {}
+        self._bounds: dict[int, Array] = {}
 
     def levels(self, length: Array) -> IntArray:
         """Return the least d with length ≤ s 2ᵈ, (P,)."""
@@ -128,7 +131,7 @@ class Transitions:
         """Return e^{F s 2ᵈ}."""
         if d not in self._turns:
             half = self.turn(d - 1) if d > 0 else None
-            self._turns[d] = taylor(self.F * self.s * 2.0**d)[::-1, 0].sum(axis=0) if half is None else half @ half
+            self._turns[d] = taylor(self._F * self.s * 2.0**d)[::-1, 0].sum(axis=0) if half is None else half @ half
         return np.asarray(self._turns[d])
 
     def reach(self, d: int) -> Array:
@@ -138,31 +141,21 @@ class Transitions:
             self._reach.append(np.maximum(last, OVER_SUMS * (last @ turn)))
         return np.asarray(self._reach[max(d, 0)])
 
-
-class _Tables:
-    """What is known of some rows in a mode, transposed, so that products run along rows."""
-
-    def __init__(self, turns: Transitions, rows: Array, degree: int = _DEGREE) -> None:
-        self.turns, self.F, self.rows, self.u = turns, turns.F.T, rows.T, unit(len(turns.F))
-        self.degree, self.numbers = degree, len(self.rows) + (degree + 2) * self.rows.shape[1]  # of each piece
-        self._terms: dict[int, Array] = {}
-        self._bounds: dict[int, Array] = {}
-
     def terms(self, degree: int) -> Array:
         """Return r Fʲ for j up to the degree, and F to one more, side by side, (N, (degree + 1) q + N)."""
         if degree not in self._terms:
             powers = [self.rows]
             for _ in range(degree):
-                powers.append(self.F @ powers[-1])
-            self._terms[degree] = np.hstack([*powers, np.linalg.matrix_power(self.F, degree + 1)])
+                powers.append(self._F.T @ powers[-1])
+            self._terms[degree] = np.hstack([*powers, np.linalg.matrix_power(self._F.T, degree + 1)])
         return self._terms[degree]
 
     def bounds(self, d: int) -> Array:
         """Return |r| R |F|ʲ for j up to one more than the degree, R for all σ ≤ s 2ᵈ, side by side, (N, …)."""
         if d not in self._bounds:
-            powers = [(np.abs(self.rows).T @ self.turns.reach(d)).T]
+            powers = [(np.abs(self.rows).T @ self.reach(d)).T]
             for _ in range(self.degree + 1):
-                powers.append(np.abs(self.F) @ powers[-1])
+                powers.append(np.abs(self._F.T) @ powers[-1])
             self._bounds[d] = OVER_SUMS * np.hstack(powers)
         return self._bounds[d]
 
@@ -188,6 +181,29 @@ class Spans(NamedTuple):
     squares: Array
     areas: Array
 
+    @property
+    def most(self) -> Array:
+        """How large signals are at most."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
+
+    @property
+    def near(self) -> Array:
+        """How near to 0 they come."""
+        return np.maximum(np.maximum(self.low, -self.high), 0.0)
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """Between what they are on all segments, (q,) each."""
+        return self.low.min(axis=0), self.high.max(axis=0)
+
+    def in_steps(self, at: IntArray) -> "Spans":
+        """Return the same of steps: of each segment `at` is the number of its own, 0, 1, … in order, (M,)."""
+        first = np.flatnonzero(np.diff(at, prepend=-1))
+        squares, areas = np.zeros((2, len(first), self.low.shape[1]))
+        np.add.at(squares, at, self.squares)
+        np.add.at(areas, at, self.areas)
+        return Spans(np.minimum.reduceat(self.low, first), np.maximum.reduceat(self.high, first), squares, areas)
+
 
 def spans(block: Segments, rows: Rows) -> Spans:
     """Enclose r z on each segment of a block, for each of the rows (q, N), in one look.
@@ -200,9 +216,9 @@ def spans(block: Segments, rows: Rows) -> Spans:
         here = np.flatnonzero(block.number == number)
         if not len(here):
             continue
-        table = _Tables(Transitions(block.F[number]), block.reading(rows(mode)), _ONE_LOOK)
+        table = _Tables(block.F[number], block.reading(rows(mode)), _ONE_LOOK)
         length = np.maximum(block.length[here], TINY)
-        powers, off = table.polynomials(block.zeta[here], length, int(table.turns.levels(length).max()))
+        powers, off = table.polynomials(block.zeta[here], length, int(table.levels(length).max()))
         control = np.tensordot(_BERNSTEIN[len(powers) - 1], powers, 1)
         mean, over = np.abs(control).mean(axis=0), OVER_SUMS * block.length[here, None]
         square = np.einsum("ipq,ij,jpq->pq", control, _squares(len(powers) - 1), control)
@@ -214,14 +230,10 @@ def spans(block: Segments, rows: Rows) -> Spans:
 
 
 class Enclosing:
-    """Encloses signals block by block, given by rows on z in a mode, (q, N), or the norm of all of them together.
+    """Encloses signals block by block, given by rows on z in a mode, (q, N), or the norm of all of them together."""
 
-    Those that enclose signals of the same flow may share `turns`.
-    """
-
-    def __init__(self, rows: Rows, *, norm: bool = False, turns: dict[Mode, Transitions] | None = None) -> None:
+    def __init__(self, rows: Rows, *, norm: bool = False) -> None:
         self._rows, self._norm, self._left = rows, norm, MOST_NUMBERS
-        self._turns = {} if turns is None else turns
         self._tables: dict[Mode, _Tables] = {}
         self._best = self._high = self._size = np.zeros(0)  # attained, bounds, sizes of each side: highs, then −lows
         self._seen = list[tuple[IntArray, Array, Array]]()  # the side of values that are near its best, they, and when
@@ -240,8 +252,7 @@ class Enclosing:
             if not len(here):
                 continue
             if mode not in self._tables:
-                turns = self._turns.get(mode) or self._turns.setdefault(mode, Transitions(block.F[number]))
-                self._tables[mode] = _Tables(turns, block.reading(self._rows(mode)))
+                self._tables[mode] = _Tables(block.F[number], block.reading(self._rows(mode)))
             table, pieces = self._tables[mode], _Pieces(block.t[here], block.zeta[here], block.length[here])
             self._attain(self._sides(pieces.zeta @ table.rows), pieces.t)
             queue += [(table, part) for part in _parts(table, pieces)]
@@ -305,7 +316,7 @@ class Enclosing:
         if not len(t) or self._left < 0:
             return None
         self._left -= len(t) * table.numbers
-        levels = table.turns.levels(length)
+        levels = table.levels(length)
         with np.errstate(over="ignore", invalid="ignore"):
             powers, off = table.polynomials(zeta, length, int(levels.max()))
             control = np.tensordot(_BERNSTEIN[len(powers) - 1], powers, 1)  # (degree + 1, P, q)
@@ -319,7 +330,15 @@ class Enclosing:
         if self._left < 0:
             above[:] = False
         self._high = np.maximum(self._high, upper[~above].max(axis=0, initial=-np.inf))
-        return _halved(table.turns, levels[above], t[above], zeta[above], length[above]) if above.any() else None
+        if not above.any():
+            return None
+        t, zeta, length, levels = t[above], zeta[above], length[above], levels[above]
+        half, middle = table.s * 2.0 ** (levels - 1), np.empty_like(zeta)
+        for level in np.unique(levels).tolist():
+            here = levels == level
+            middle[here] = zeta[here] @ table.turn(level - 1).T
+        pairs = (t, t + half), (zeta, middle), (np.minimum(length, half), length - half)
+        return _Pieces(*map(np.concatenate, pairs))
 
     def _above(self, table: _Tables, upper: Array, zeta: Array) -> Any:
         """Return which pieces may be above the best by more than they need be, (P,)."""
@@ -354,15 +373,6 @@ def _parts(table: _Tables, pieces: _Pieces) -> Iterator[_Pieces]:
     most = max(TOGETHER // table.numbers, 1)
     for k in range(0, count, most):
         yield _Pieces(*(part[k : k + most] for part in pieces)) if count > most else pieces
-
-
-def _halved(turns: Transitions, levels: IntArray, t: Array, zeta: Array, length: Array) -> _Pieces:
-    half, middle = turns.s * 2.0 ** (levels - 1), np.empty_like(zeta)
-    for level in np.unique(levels).tolist():
-        here = levels == level
-        middle[here] = zeta[here] @ turns.turn(level - 1).T
-    pairs = (t, t + half), (zeta, middle), (np.minimum(length, half), length - half)
-    return _Pieces(*map(np.concatenate, pairs))
 
 
 def bernstein(degree: int) -> Array:

@@ -11,8 +11,9 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.cores import cores
 from pwatrack.errors import PwatrackError
 from pwatrack.interruption import in_order, uninterrupted
+from pwatrack.model.reference import StateResets
 from pwatrack.simulation.flow import Flow
-from pwatrack.simulation.propagate import Propagator, StateResets, sample_count
+from pwatrack.simulation.propagate import Propagator, sample_count
 from pwatrack.simulation.trace import Trace, last_tenth
 
 _SMALL = 0.01  # of the median of the largest errors
@@ -106,7 +107,16 @@ def simulate_ensemble(
         if one.judge is not None:
             verdicts[number] = one.judge(walk.trace())
 
-    _do_all(run, count, workers or cores(), progress)
+    pool = ThreadPoolExecutor(workers or cores())
+    try:
+        with uninterrupted():
+            futures = [pool.submit(run, number) for number in range(count)]
+        for number, future in enumerate(in_order(futures), 1):
+            future.result()  # what the first of them raises ends it
+            if progress:
+                progress(number)
+    finally:
+        pool.shutdown(cancel_futures=True)
     return Ensemble(
         t=sample_time * np.arange(samples, dtype=np.float64),
         error=error,
@@ -114,20 +124,6 @@ def simulate_ensemble(
         unresolved=unresolved,
         verdicts=tuple(verdicts),
     )
-
-
-def _do_all(run: Callable[[int], None], count: int, workers: int, progress: Callable[[int], object] | None) -> None:
-    """Call `run` with each number on so many threads; what the first of them raises ends it."""
-    pool = ThreadPoolExecutor(workers)
-    try:
-        with uninterrupted():
-            futures = [pool.submit(run, number) for number in range(count)]
-        for number, future in enumerate(in_order(futures), 1):
-            future.result()
-            if progress:
-                progress(number)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 @contextmanager

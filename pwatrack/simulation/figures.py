@@ -13,9 +13,9 @@ import numpy as np
 from pwatrack.arrays import Array
 from pwatrack.control.bounds import Form, state_rows
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
-from pwatrack.simulation.enclosure import Enclosing, Segments, Transitions
+from pwatrack.simulation.enclosure import Enclosing, Segments
 from pwatrack.simulation.flow import Mode
-from pwatrack.simulation.trace import Trace, last_tenth
+from pwatrack.simulation.trace import last_tenth
 
 _STILL = 1e-9  # of the size of a signal: by less it does not move
 _BAND = 0.02  # of what an output has to go, or of the amplitude of its reference
@@ -105,10 +105,8 @@ class Move:
             self.still_from = float(t[changes][-1])
         last = int(begins[-1]) if len(begins) else 0
         self.high, self.low = max(self.high, float(y[last:].max())), min(self.low, float(y[last:].min()))
-        self.highest, self.lowest = (
-            max(self.highest, float(y_d[last:].max())),
-            min(self.lowest, float(y_d[last:].min())),
-        )
+        self.highest = max(self.highest, float(y_d[last:].max()))
+        self.lowest = min(self.lowest, float(y_d[last:].min()))
         self._range = min(self._range[0], float(y_d.min())), max(self._range[1], float(y_d.max()))
         self._before, self._size = (float(t[-1]), float(y[-1]), float(y_d[-1]), bool(changes[-1])), float(size[-1])
 
@@ -195,17 +193,16 @@ class Measuring:
         self._moves = [Move(self.bands.get(name)) for name in self.outputs]
         if self.loop is not None:
             error = self.loop.tracking_error / self.loop.controller.error_sizes[:, None]
-            turns: dict[Mode, Transitions] = {}
             for name in ERRORS:
-                self._within[name] = Enclosing(lambda _: error, norm=True, turns=turns)
+                self._within[name] = Enclosing(lambda _: error, norm=True)
             each = self.loop.signal_errors
             for name in ("final_errors", "largest_errors") if len(each) > 1 else ():
-                self._within[name] = Enclosing(lambda _: each, turns=turns)
-            self._within["inputs"] = Enclosing(self.loop.inputs, turns=turns)
+                self._within[name] = Enclosing(lambda _: each)
+            self._within["inputs"] = Enclosing(self.loop.inputs)
             if self.limited:
                 x = np.eye(self.loop.at.order)[self.loop.at.x]
                 rows = state_rows(self.loop.plant, self.limited.values()) @ x
-                self._within["limited"] = Enclosing(lambda _: rows, turns=turns)
+                self._within["limited"] = Enclosing(lambda _: rows)
         self._range = np.full((2, len(self.inputs) + len(self.limited)), [[np.inf], [-np.inf]])
 
     def see(self, block: Response) -> None:
@@ -230,7 +227,15 @@ class Measuring:
         self._observer = float(block.observer_error[-1])
         self._changes += len(block.trace.events)
         self._visited |= block.trace.visited()
-        self._stay(block.trace)
+        events, t = block.trace.events, block.trace.t
+        first = float(t[0]) if self._until is None else self._until  # up to there, all of it was in known cells
+        self._until = max(float(t[-1]), events[-1].t if events else first)
+        lengths = np.diff([first, *(event.t for event in events), self._until])
+        modes = [events[0].before if events else block.trace.first_mode, *(event.after for event in events)]
+        for k, cells in enumerate(np.array(modes).T):
+            for cell, seconds in enumerate(np.bincount(cells, lengths).tolist()):
+                if seconds:
+                    self._stays[k, cell] = self._stays.get((k, cell), 0.0) + seconds
         for k, move in enumerate(self._moves):
             move.see(block.t, block.tracked[:, k], block.tracked_d[:, k])
         self._number += len(size)
@@ -241,18 +246,6 @@ class Measuring:
                     within.see(segments)
                 elif tail < len(size):
                     within.see(segments.since(self._last_tenth))
-
-    def _stay(self, trace: Trace) -> None:
-        """Add how long each part was in each of its cells since what was seen before."""
-        events = trace.events
-        first = float(trace.t[0]) if self._until is None else self._until
-        self._until = max(float(trace.t[-1]), events[-1].t if events else first)
-        lengths = np.diff([first, *(event.t for event in events), self._until])
-        modes = [events[0].before if events else trace.first_mode, *(event.after for event in events)]
-        for k, cells in enumerate(np.array(modes).T):
-            for cell, seconds in enumerate(np.bincount(cells, lengths).tolist()):
-                if seconds:
-                    self._stays[k, cell] = self._stays.get((k, cell), 0.0) + seconds
 
     def _shares(self) -> dict[str, dict[str, float]]:
         """Return the share of the time in each cell by part; cells of one name count as one."""

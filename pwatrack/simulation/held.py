@@ -64,7 +64,11 @@ class Held:
 
     def _stretch(self, most: int) -> tuple[Array, Array, Array]:
         """Return x_d, u_ff and (s, η̂, w, 1) up to where one matrix no longer does, or so many."""
-        self._change()
+        if self._changes[:1] == [self._tick]:
+            tick, (k, at, _) = self._changes.pop(0), self._edges
+            for start, w in self._pieces.get(tick, ()):
+                self._z[at + start :][: len(w)] = w
+            self._z[:k] += self._steps.get(tick, 0.0)
         more, here = min(most, self._length), cell(self._sides, self._guards @ self._z)
         if self._changes:
             more = min(more, self._changes[0] - self._tick)
@@ -75,11 +79,3 @@ class Held:
             more, self._length = 1 + int(other.argmax()), _SHORTEST
         self._z, self._tick, z = z[more], self._tick + more, z[:more]
         return z @ self._x_d[here].T, z @ self._u_ff[here].T, z
-
-    def _change(self) -> None:
-        """Make the pieces of w begin, and loads step, that do so at this tick."""
-        if self._changes[:1] == [self._tick]:
-            tick, (k, at, _) = self._changes.pop(0), self._edges
-            for start, w in self._pieces.get(tick, ()):
-                self._z[at + start :][: len(w)] = w
-            self._z[:k] += self._steps.get(tick, 0.0)

@@ -421,21 +421,22 @@ def _evaluate(power: Array, start: int, x: float) -> tuple[float, float]:
 
 
 @_compiled
-def _apply(transposed: Array, z: Array, result: Array) -> None:
-    """Write M z to `result` for M given as its transpose; four rows at a time, so that results are stored less."""
+def _apply(transposed: Array, z: Array, result: Array, factor: float = 1.0) -> None:
+    """Write factor · M z for M given as its transpose; four rows at a time, so that results are stored less."""
     n, j = len(z), 0
     for i in range(len(result)):
         result[i] = 0.0
     while j + 4 <= n:
-        z0, z1, z2, z3 = z[j], z[j + 1], z[j + 2], z[j + 3]
+        z0, z1, z2, z3 = factor * z[j], factor * z[j + 1], factor * z[j + 2], factor * z[j + 3]
         for i in range(len(result)):
             result[i] += (transposed[j, i] * z0 + transposed[j + 1, i] * z1) + (
                 transposed[j + 2, i] * z2 + transposed[j + 3, i] * z3
             )
         j += 4
     while j < n:
+        z0 = factor * z[j]
         for i in range(len(result)):
-            result[i] += transposed[j, i] * z[j]
+            result[i] += transposed[j, i] * z0
         j += 1
 
 
@@ -449,34 +450,6 @@ def _number(known_cells: IntArray, known: int, cells: IntArray) -> int:
         if same:
             return m
     return known
-
-
-@_compiled
-def _next_term(F: Array, factor: float, terms: Array, j: int) -> None:
-    """Write factor · F times row j − 1 of terms (·, N) to row j: what `_apply` does, without views of rows."""
-    N, k = terms.shape[1], 0
-    for i in range(N):
-        terms[j, i] = 0.0
-    while k + 4 <= N:
-        t0, t1 = factor * terms[j - 1, k], factor * terms[j - 1, k + 1]
-        t2, t3 = factor * terms[j - 1, k + 2], factor * terms[j - 1, k + 3]
-        for i in range(N):
-            terms[j, i] += (F[k, i] * t0 + F[k + 1, i] * t1) + (F[k + 2, i] * t2 + F[k + 3, i] * t3)
-        k += 4
-    while k < N:
-        t0 = factor * terms[j - 1, k]
-        for i in range(N):
-            terms[j, i] += F[k, i] * t0
-        k += 1
-
-
-@_compiled
-def _expand(F: Array, z: Array, length: float, degree: int, terms: Array) -> None:
-    """Write the Taylor terms of z(τ length) up to a degree to the first rows, (·, N); what is behind is not theirs."""
-    for i in range(len(z)):
-        terms[0, i] = z[i]
-    for j in range(1, degree + 1):
-        _next_term(F, length / j, terms, j)
 
 
 @_compiled
@@ -525,7 +498,7 @@ def _sides(F: Array, degree: int, guards: Array, at: KernelState, before: IntArr
             for i in range(len(at.z)):
                 terms[0, i] = at.z[i]
         else:
-            _next_term(F, 1.0 / j, terms, j)
+            _apply(F, terms[j - 1], terms[j], 1.0 / j)
         _apply(guards, terms[j], seen)
         for k in range(len(sides)):
             if sides[k] != 0:
@@ -652,18 +625,6 @@ def _sample(field: FlowTables, at: KernelState, log: Log) -> None:
 
 
 @_inlined
-def _break(field: FlowTables, at: KernelState, log: Log) -> None:
-    """Write down from where it goes on anew: at the start, from what all that happens then leaves."""
-    s = at.state[0]
-    if s.k == 0 and s.done == 0.0:
-        s.breaks = 0
-    log.break_time[s.breaks], log.break_mode[s.breaks] = (s.k + s.done) * field.h, s.m
-    for i in range(len(at.z)):
-        log.break_z[s.breaks, i] = at.z[i]
-    s.breaks += 1
-
-
-@_inlined
 def _enter(field: FlowTables, at: KernelState, log: Log) -> None:
     """Write down that a mode was entered. Changes within rounding of each other are one; the start is none."""
     s = at.state[0]
@@ -713,7 +674,12 @@ def _settle(field: FlowTables, modes: ModeTables, known: int, at: KernelState, l
         elif matters(room.vague[i], t, field):
             _note(s, log, t, i, room.vague[i] * field.h)
     _sample(field, at, log)
-    _break(field, at, log)
+    if s.k == 0 and s.done == 0.0:  # from what all that happens at the start leaves
+        s.breaks = 0
+    log.break_time[s.breaks], log.break_mode[s.breaks] = (s.k + s.done) * field.h, s.m
+    for i in range(len(at.z)):
+        log.break_z[s.breaks, i] = at.z[i]
+    s.breaks += 1
     _enter(field, at, log)
     return True
 
@@ -739,8 +705,21 @@ def _stride(field: FlowTables, modes: ModeTables, free: int, at: KernelState, ro
         if _apart(modes.sides[m], room.now, room.then, room.reach):
             break
         if not careful:
-            careful = True
-            _look(field, modes, m, z, room)
+            careful = True  # write how the guards and their slopes are at z, and how fast they may change
+            _apply(modes.rounding[m], room.size, room.tolerance)
+            for i in range(len(z)):
+                room.off_after[i] = 0.0
+            rounded_product(modes.F[m], z, room.off_after, field.unit, room.speed, room.off)
+            rounded_product(field.guards, room.speed, room.off, field.unit, room.slope, room.off_slope)
+            rounded_product(modes.F[m], room.speed, room.off, field.unit, room.bend, room.off_after)
+            for i in range(len(z)):
+                room.speed[i] = abs(room.speed[i]) + room.off[i]
+                room.bend[i] = abs(room.bend[i]) + room.off_after[i]
+            for i in range(len(room.now)):
+                room.beyond[i] = room.now[i] - modes.sides[m, i] * room.tolerance[i]
+                room.off_slope[i] += field.unit * abs(room.slope[i])
+                room.slopes[0, i] = room.slope[i] - room.off_slope[i]
+                room.slopes[1, i] = room.slope[i] + room.off_slope[i]
         first, second = modes.first[m, d], modes.second[m, d]
         if stays_clear(modes.sides[m], room.beyond, room.slopes, first, room.speed, second, room.bend, 1 << d):
             break
@@ -754,25 +733,6 @@ def _stride(field: FlowTables, modes: ModeTables, free: int, at: KernelState, ro
         room.now[i] = room.then[i]
     s.k += 1 << d
     return True
-
-
-@_inlined
-def _look(field: FlowTables, modes: ModeTables, m: int, z: Array, room: Workspace) -> None:
-    """Write what `stays_clear` goes by: how the guards and their slopes are at z, and how fast they may change."""
-    _apply(modes.rounding[m], room.size, room.tolerance)
-    for i in range(len(z)):
-        room.off_after[i] = 0.0
-    rounded_product(modes.F[m], z, room.off_after, field.unit, room.speed, room.off)
-    rounded_product(field.guards, room.speed, room.off, field.unit, room.slope, room.off_slope)
-    rounded_product(modes.F[m], room.speed, room.off, field.unit, room.bend, room.off_after)
-    for i in range(len(z)):
-        room.speed[i] = abs(room.speed[i]) + room.off[i]
-        room.bend[i] = abs(room.bend[i]) + room.off_after[i]
-    for i in range(len(room.now)):
-        room.beyond[i] = room.now[i] - modes.sides[m, i] * room.tolerance[i]
-        room.off_slope[i] += field.unit * abs(room.slope[i])
-        room.slopes[0, i] = room.slope[i] - room.off_slope[i]
-        room.slopes[1, i] = room.slope[i] + room.off_slope[i]
 
 
 @_inlined
@@ -809,9 +769,10 @@ def _first_of_all(
     s, m, z, degree = at.state[0], at.state[0].m, at.z, modes.degree[at.state[0].m]
     power = room.powers[: degree + 1]
     for i in range(len(z)):
-        room.size[i] = abs(z[i])
+        room.size[i], room.terms[0, i] = abs(z[i]), z[i]
     _apply(modes.rounding[m], room.size, room.tolerance)
-    _expand(modes.F[m], z, length, degree, room.terms)
+    for j in range(1, degree + 1):
+        _apply(modes.F[m], room.terms[j - 1], room.terms[j], length / j)
     _apply(field.guards, z, room.now)
     for i in range(len(z)):
         room.speed[i] = abs(room.terms[1, i])

@@ -11,7 +11,6 @@ rate. That e₀ has begun by then, or not, is added in `control.sampled_disturba
 """
 
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -30,7 +29,7 @@ from pwatrack.simulation.enclosure import Segments, spans
 from pwatrack.simulation.flow import Flow, Mode, SwitchedPart
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong, with_loads
-from pwatrack.simulation.propagate import pieces, trace_blocks
+from pwatrack.simulation.propagate import trace_blocks
 from pwatrack.simulation.trace import Trace
 
 _ROUNDED = 1e-11  # of sizes: what is nearer to a plane may be on its other side
@@ -83,8 +82,11 @@ class _Waiting:
         self._loads = replace(loads, steps={tick: s for tick, s in loads.steps.items() if tick < gains.delay})
         self._trajectory, self._n = with_loads(controller, self._loads), len(x)
         self._x_hat = np.concatenate([x_hat, np.zeros(len(loads.start))])
+        plant = controller.plant
+        self._laws = np.array([np.pad(A.floats, ((0, 1), (0, 1))) for A in plant.observed.A])
+        self._laws[:, : self._n, -1] = plant.model.b  # F of (x̃, s̃, 1) in each cell of the program, without input
         self._flow, self._trace = self._walked(conditions, x)
-        self._c, self._cells, self._last = self._predicted(self._trace.z[:, : self._n] @ controller.plant.C.T)
+        self._c, self._cells, self._last = self._predicted(self._trace.z[:, : self._n] @ plant.C.T)
 
     def _walked(self, conditions: Conditions, x: Array) -> tuple[Flow, Trace]:
         """Return the flow of what is walked, and its samples: one as each substep begins, and the last."""
@@ -93,10 +95,10 @@ class _Waiting:
         S, d = (np.zeros((0, 0)), np.zeros(0)) if disturbance is None else (disturbance.S, disturbance.w0)
         F0 = block_diag(np.zeros((n + p, n + p)), w.S, S, np.zeros((1, 1)))
         order, own = len(F0), n + p + len(w.w0)
-        resets = pieces(w, slice(n + p, own))
+        resets = [each.behind(n + p) for each in w.resets]
         if disturbance is not None:
             F0[:n, own:-1] = disturbance.Q
-            resets += pieces(disturbance, slice(own, order - 1))
+            resets += [each.behind(own) for each in disturbance.resets]
         field, moves = np.zeros((len(plant.A), order, order)), np.zeros((len(trajectory.rate), order, order))
         field[:, :n, :n], field[:, :n, -1] = plant.A, plant.b
         moves[:, n : n + p] = self._wide(trajectory.rate, order)
@@ -130,14 +132,6 @@ class _Waiting:
             v = np.einsum("dNk,dk->dN", runs.observer[where[-1]], known)
             ends.append(v)
         return np.array(found), np.array(where), ends[self._count]
-
-    @cached_property
-    def _laws(self) -> Array:
-        """F of (x̃, s̃, 1) in each cell of the program, without input."""
-        plant = self._controller.plant
-        F = np.array([np.pad(A.floats, ((0, 1), (0, 1))) for A in plant.observed.A])
-        F[:, : self._n, -1] = plant.model.b
-        return F
 
     def _segments(self) -> tuple[IntArray, Segments]:
         """Return the substep of each segment, and segments with predictions before ζ."""
@@ -182,12 +176,10 @@ class _Waiting:
 
     def found(self, off: Array, noise: Array) -> LateStart | None:
         """Return what is asked for, from x̂(0) that may be so far off, with so much that is measured off."""
-        (walked, d, N), (n, m), q, K = self._c.shape, self._controller.plant.B.shape, len(noise), self._count
+        (_, d, N), (n, m), q, K = self._c.shape, self._controller.plant.B.shape, len(noise), self._count
         at, segments = self._segments()
-        each, kind = spans(segments, self._rows), self._controller.tracking
-        ends = np.full((2, walked, each.low.shape[1]), [[[np.inf]], [[-np.inf]]])
-        np.minimum.at(ends[0], at, each.low)
-        np.maximum.at(ends[1], at, each.high)
+        each, kind = spans(segments, self._rows).in_steps(at), self._controller.tracking
+        ends = np.stack([each.low, each.high])
         tracked = ends.shape[2] - d * N - 2 * (n + q) - n - m
         signals, y, rates, c = np.split(ends, np.cumsum([tracked + m + n, q, 2 * n + q]), axis=2)
         most, rates = (self._late.most(np.abs(some).max(axis=0))[:K] for some in (signals, rates))
@@ -199,6 +191,13 @@ class _Waiting:
         most[:, tracked + m :] += between[:, 0, :n] + moved[0]
         forms: list[Form] = [*((kind, k) for k in range(tracked)), *(("input", k) for k in range(m))]
         forms += [("estimate", k) for k in range(n)]
+        z, end = np.zeros(self._errors.order), self._trace.z[K]  # just before the first input acts, without noise
+        z[:n] = end[:n] - self._wide(self._trajectory.x_d[self._trace.modes[K, 1]], len(end)) @ end
+        loads = n + len(self._eta) + len(self._trajectory.exosystem.w0)
+        z[n + m : n + m + d * N] = (self._last - np.concatenate([end[:n], end[loads - (N - n) : loads]])).ravel()
+        if self._errors.more and self._errors.more[-1]:
+            own = memory(self._runs, self._x_hat, self._eta)["memory"][self._runs.places["eta_hat"]]
+            z[-len(own) :] = own - Held(self._runs, self._eta, self._loads).take(d + 1).eta_hat[d]
         made = np.arange(d) <= np.arange(K)[:, None] // self._parts  # a prediction that there is
         c, start = c[:, :K].reshape(2, K, d, N), np.pad(off, (0, N - n))
         seen = joined(
@@ -207,7 +206,7 @@ class _Waiting:
         )
         along = {"x_hat": seen[:n], "y": _hull(np.stack([y[0] - noise, y[1] + noise])), "u": np.zeros((m, 2))}
         return LateStart(
-            z=self._z,
+            z=z,
             off=np.concatenate([np.zeros(n + m), last.ravel(), np.zeros(self._errors.order - n - m - d * N)]),
             moved=moved[2][-1],
             missed=missed,
@@ -215,19 +214,6 @@ class _Waiting:
             along=along | ({"s_hat": seen[n:]} if n < N else {}),
             clear=clear,
         )
-
-    @property
-    def _z(self) -> Array:
-        """z just before the first input acts, without noise."""
-        (d, N), (n, m), end = self._c.shape[1:], self._controller.plant.B.shape, self._trace.z[self._count]
-        z, x_d = np.zeros(self._errors.order), self._trajectory.x_d[self._trace.modes[self._count, 1]]
-        z[:n] = end[:n] - self._wide(x_d, len(end)) @ end
-        loads = n + len(self._eta) + len(self._trajectory.exosystem.w0)
-        z[n + m : n + m + d * N] = (self._last - np.concatenate([end[:n], end[loads - (N - n) : loads]])).ravel()
-        if self._errors.more and self._errors.more[-1]:
-            own = memory(self._runs, self._x_hat, self._eta)["memory"][self._runs.places["eta_hat"]]
-            z[-len(own) :] = own - Held(self._runs, self._eta, self._loads).take(d + 1).eta_hat[d]
-        return z
 
     def _off(self, c: Array, off: Array, noise: Array) -> tuple[Array, Array, Array, float]:
         """Return how large ε is in each substep, (K, d, N); c is between its ends, (2, …).
@@ -250,7 +236,9 @@ class _Waiting:
                 met = [here, *(k for k in np.flatnonzero(reached <= 0).tolist() if k != here)]
                 clear = min(clear, float(reached[reached > 0].min(initial=np.inf)))
                 turn = np.abs(runs.observer[met, :, -N - 1 : -1]).max(axis=0)
-                driven = self._step * _most((laws[met] - laws[here])[:, :N], c[:, j, i])
+                D, ends = (laws[met] - laws[here])[:, :N], c[:, j, i]
+                size = np.abs(D[:, :, :-1] @ ends.mean(axis=0) + D[:, :, -1])
+                driven = self._step * (size + np.abs(D[:, :, :-1]) @ ((ends[1] - ends[0]) / 2)).max(axis=0)
                 if r[i].any() or driven.any():
                     grown = expm(np.abs(laws[met, :N, :N]).max(axis=0) * self._step)
                     between[j, i], r[i] = grown @ (r[i] + driven), turn @ r[i] + grown @ driven
@@ -271,9 +259,3 @@ def _hull(ends: Array) -> Array:
     """Return between what all of some numbers are that are between two ends, (2, …, k): (k, 2)."""
     low, high = ends.reshape(2, -1, ends.shape[-1])
     return np.column_stack([low.min(axis=0), high.max(axis=0)])
-
-
-def _most(rows: Array, ends: Array) -> Array:
-    """Return what some rows (k, N, N + 1) are at most of something between its ends (2, N), with a 1 behind, (N,)."""
-    D, middle, half = rows[:, :, :-1], ends.mean(axis=0), (ends[1] - ends[0]) / 2
-    return np.asarray((np.abs(D @ middle + rows[:, :, -1]) + np.abs(D) @ half).max(axis=0))

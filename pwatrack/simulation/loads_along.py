@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from scipy.linalg import expm
 
 from pwatrack.arrays import Array
 from pwatrack.control.controller import ProvedController
@@ -20,7 +20,7 @@ from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.trajectory import DesiredTrajectory
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.loads import Loads
-from pwatrack.model.reference import Exosystem, Reset
+from pwatrack.model.reference import Exosystem, StateResets, beside
 
 _ON_TICK = 1e-9  # of a sample: a step that is nearer after a tick is on it but for rounding
 
@@ -63,7 +63,7 @@ class LoadsAlong:
             return none
         s, last = _loads_of(loads, disturbance, disturbance.w0), 0.0
         start, steps = s, {0: s}
-        times = np.unique([reset.t for reset in disturbance.resets])
+        times = disturbance.breaks
         for t, w in zip(times.tolist(), disturbance.states(times), strict=True):
             before, s, last = expm(S * (t - last)) @ s, _loads_of(loads, disturbance, w), t
             tick = ceil((t + gains.jitter / 2) / h - _ON_TICK)  # by then it has stepped, if that is late or not
@@ -111,34 +111,35 @@ class LoadsAlong:
 
     def behind(self, system: Exosystem) -> Exosystem:
         """Return an exosystem with them as the last entries of its w, on which no signal depends."""
-        p, h = len(system.w0), self.sample_time
-        resets = (Reset(tick * h, slice(p, p + len(s)), s) for tick, s in self._stepped.items() if tick)
-        return replace(
-            system,
-            S=block_diag(system.S, self.S),
-            rates=np.append(system.rates, -1j * np.abs(self.S).sum(axis=1)),  # d' = ω a turns the other way
-            Q=np.pad(system.Q, ((0, 0), (0, len(self.S)))),
-            w0=np.append(system.w0, self.start),
-            resets=tuple(sorted([*system.resets, *resets], key=lambda reset: reset.t)),
-            period=None if self.S.any() else system.period,
+        ticks, values = (np.array([*each])[1:] for each in (self._stepped, self._stepped.values()))
+        steps = StateResets(t=ticks * self.sample_time, where=slice(0, len(self.S)), values=values)
+        own = Exosystem(
+            S=self.S,
+            rates=-1j * np.abs(self.S).sum(axis=1),  # d' = ω a turns the other way
+            Q=np.zeros((0, len(self.S))),
+            w0=self.start,
+            resets=(steps,) if len(steps.t) else (),
+            period=None,
+            end=None,
         )
+        return replace(beside(system, own), period=None if self.S.any() else system.period)
 
 
 def with_loads(controller: ProvedController, along: LoadsAlong) -> DesiredTrajectory:
     """Return the desired trajectory of true loads, which are the last entries of w."""
     trajectory, added = controller.trajectory, controller.compensation
 
-    def beside(rows: Array, more: Array) -> Array:
+    def wider(rows: Array, more: Array) -> Array:
         return np.concatenate([rows[..., :-1], more, rows[..., -1:]], axis=-1)
 
     X = np.broadcast_to(added.X.floats, (*trajectory.x_d.shape[:2], len(along.S)))
     return replace(
         trajectory,
         exosystem=along.behind(trajectory.exosystem),
-        rate=beside(trajectory.rate, added.rate),
-        x_d=beside(trajectory.x_d, X),
-        u_ff=beside(trajectory.u_ff, added.u_ff),
-        guards=beside(trajectory.guards, added.guards),
+        rate=wider(trajectory.rate, added.rate),
+        x_d=wider(trajectory.x_d, X),
+        u_ff=wider(trajectory.u_ff, added.u_ff),
+        guards=wider(trajectory.guards, added.guards),
     )
 
 

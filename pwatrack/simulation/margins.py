@@ -111,7 +111,13 @@ def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
     def transfer(frequencies: Frequencies) -> NDArray[np.complex128]:
         return response(opened, g, row, frequencies)
 
-    grid = _grid(np.concatenate([np.linalg.eigvals(M), np.linalg.eigvals(opened)]))
+    values = np.concatenate([np.linalg.eigvals(M), np.linalg.eigvals(opened)])  # all that it does is seen near these
+    sizes = np.abs(values)
+    sizes = sizes[sizes > NOTHING * sizes.max(initial=0.0)]
+    low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
+    near = (np.abs(values.imag)[:, None] + np.abs(values.real)[:, None] * _AROUND).ravel()
+    grid = np.concatenate([np.geomspace(low / _BEYOND, high * _BEYOND, _POINTS), near * _BESIDE])
+    grid = np.unique(grid[grid >= low / _BEYOND])
     passing = _crossings(transfer, grid, lambda L: np.log(np.abs(L) + np.finfo(float).tiny))
     angles = np.angle(transfer(passing)) if len(passing) else np.zeros(0)
     turned = transfer(_crossings(transfer, grid, lambda L: L.imag))
@@ -135,16 +141,6 @@ def response(A: Array, b: Array, c: Array, frequencies: Frequencies) -> NDArray[
         with suppress(np.linalg.LinAlgError):
             return np.asarray(np.linalg.solve(shifted, b[:, None].astype(complex))[..., 0] @ c)
     return np.full(len(frequencies), np.inf + 0j)
-
-
-def _grid(values: NDArray[np.complex128]) -> Frequencies:
-    """Return frequencies at which all that a loop with these eigenvalues does is seen, in rad/s."""
-    sizes = np.abs(values)
-    sizes = sizes[sizes > NOTHING * sizes.max(initial=0.0)]
-    low, high = (sizes.min(), sizes.max()) if len(sizes) else (1.0, 1.0)
-    near = (np.abs(values.imag)[:, None] + np.abs(values.real)[:, None] * _AROUND).ravel()
-    grid = np.concatenate([np.geomspace(low / _BEYOND, high * _BEYOND, _POINTS), near * _BESIDE])
-    return np.unique(grid[grid >= low / _BEYOND])
 
 
 def _crossings(

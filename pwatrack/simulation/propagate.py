@@ -1,11 +1,9 @@
 """Propagation of a flow from event to event, exact to rounding, with no ODE solver.
 
-The walk itself is compiled: see `kernel`. Here a flow is balanced, handed over
-as arrays, and what comes back becomes a trace.
+The walk itself is compiled: see `kernel`. Here a flow is balanced, handed over as arrays, and made into a trace.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from scipy.linalg import block_diag
 from pwatrack.arrays import EPS, Array, balancing
 from pwatrack.errors import CheckFailed, InvalidSpec, ProblemPart
 from pwatrack.model.conditions import Sampling
-from pwatrack.model.reference import Exosystem
+from pwatrack.model.reference import StateResets
 from pwatrack.simulation.controller_arrays import NONE, memory, routine
 from pwatrack.simulation.flow import Clock, Flow
 from pwatrack.simulation.tables import Tables, unit
@@ -29,23 +27,6 @@ _SEED = 1  # of the times of ticks that vary
 _ON_GRID = 1e-9, 1e-15  # of a finest step, or of the time: what is nearer to the grid is on it but for rounding
 _UNBOUNDED = 1e100  # no tracking loop gets there
 _GROWING = ("event_time", "event_mode", "near_time", "near_guard", "near_span", "break_time", "break_mode", "break_z")
-
-
-@dataclass(frozen=True, kw_only=True)
-class StateResets:
-    """At the times t the entries `where` of z take new values."""
-
-    t: Array  # in s, in order, (R,)
-    where: slice  # some neighbouring entries
-    values: Array  # their new values at each of these times, (R, number of entries)
-
-
-def pieces(signals: Exosystem, where: slice) -> list[StateResets]:
-    """Return the new values that an exosystem, whose state is at `where` in z, takes where its signals have pieces."""
-    return [
-        StateResets(t=t, where=slice(where.start + part.start, where.start + part.stop), values=values)
-        for part, t, values in signals.pieces()
-    ]
 
 
 def simulate_flow(
@@ -104,8 +85,8 @@ def sample_count(duration: float, sample_time: float) -> int:
 class Propagator:
     """A flow made ready for the kernel: balanced, its grid of steps, and what is known of each mode met so far.
 
-    Any number of trajectories may share one, from several threads at a time: what
-    is known of a mode depends on the flow alone, so no trajectory depends on another.
+    Any number of trajectories may share one, from several threads at a time: what is known of a mode depends on the
+    flow alone, so no trajectory depends on another.
     """
 
     def __init__(self, flow: Flow, *, duration: float, sample_time: float) -> None:
@@ -163,8 +144,7 @@ class Walk:
 
         self.kernel, self.propagator = kernel, propagator
         flow, places, d, samples = propagator.flow, propagator.places, propagator.d, propagator.samples
-        scaled = [StateResets(t=r.t, where=r.where, values=r.values / d[r.where]) for r in resets]
-        self.resets = _schedule(flow, propagator.field.h, (samples - 1) * propagator.sample_time, scaled)
+        self.resets = _schedule(flow, propagator.field.h, (samples - 1) * propagator.sample_time, resets, d)
         early = int(((self.resets.step <= 0) & (self.resets.row >= 0)).sum())
         self.first, self.most = 0, samples if most is None else min(most, samples)
         self.z = z0 / d
@@ -180,13 +160,19 @@ class Walk:
         self.state[["resets", "settling", "events", "last", "m", "left"]] = early, True, 1, -1.0, first, 0
         self.state["left"] = MOST_STEPS[0] + MOST_STEPS[1] * samples
         self.near_since = np.full(len(places), np.inf)
+        clock, whole = propagator.clock, self.z * d
+        program, started = clock.program, np.zeros(clock.program.places["x_d"].stop)
+        started[clock.source] = whole[clock.place]
+        x_hat = started[program.places["x_hat"].start : program.places["s_hat"].stop]
+        eta_hat = whole[clock.eta] if program.sampling.corrects else started[program.places["eta_hat"]]
         self._at = kernel.KernelState(
             state=self.state,
             z=self.z,
             near_since=self.near_since,
             crossed=np.zeros(len(places), dtype=np.bool_),
             cells=starts.copy(),
-            **_controller(propagator.clock, self.z * d),
+            **memory(program, x_hat, eta_hat),
+            y=np.zeros(program.sizes["q"]),
         )
         self.log = kernel.Log(
             z=np.empty((min(samples, self.most + 1), len(z0))),  # one more than is given out: it may jump yet
@@ -319,8 +305,8 @@ class Walk:
         return trace
 
 
-def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -> Any:
-    """Return resets and ticks of the clock in order of time; at the same time the resets come first."""
+def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets], d: Array) -> Any:
+    """Return resets, of D⁻¹ z, and ticks of the clock in order of time; at the same time the resets come first."""
     from pwatrack.simulation.kernel import Resets
 
     times = [r.t for r in resets]
@@ -329,7 +315,7 @@ def _schedule(flow: Flow, h: float, end: float, resets: Sequence[StateResets]) -
     row = np.arange(count)
     values = np.zeros((count, len(flow.F0)))
     for last, r in zip(np.cumsum([len(t) for t in times]), resets, strict=True):
-        values[last - len(r.t) : last, r.where] = r.values
+        values[last - len(r.t) : last, r.where] = r.values / d[r.where]
     if flow.clock is not None:
         times.append(tick_times(flow.clock.program.sampling, end))
         edges.append(np.zeros((len(times[-1]), 2), dtype=np.int64))
@@ -355,16 +341,6 @@ def tick_times(sampling: Sampling, end: float) -> Array:
     away = np.random.default_rng(_SEED).uniform(-0.5, 0.5, size=count) * sampling.jitter
     away[:1] = 0.0
     return np.asarray(np.minimum(sampling.sample_time * np.arange(count) + away, end))
-
-
-def _controller(clock: Clock, z: Array) -> dict[str, Any]:
-    """Return what the program of a clock starts with, which is in z, and room for it to work in."""
-    places = clock.program.places
-    started = np.zeros(places["x_d"].stop)
-    started[clock.source] = z[clock.place]
-    x_hat = started[places["x_hat"].start : places["s_hat"].stop]
-    eta_hat = z[clock.eta] if clock.program.sampling.corrects else started[places["eta_hat"]]
-    return {**memory(clock.program, x_hat, eta_hat), "y": np.zeros(clock.program.sizes["q"])}
 
 
 def _check_resolved(flow: Flow, sample_time: float, samples: int) -> None:

@@ -37,29 +37,6 @@ _TRIES = 12  # of them: down to a twelfth
 _SEED = 1  # of the directions: the same ones each time
 
 
-def unstable_cell(controller: ProvedController, conditions: Conditions) -> "tuple[str, SampleMaps, float] | None":
-    """Say in which cell the sampled loop is unstable by itself, where it is not in any at a shorter sample time.
-
-    Nothing is said of a loop that is stable in each cell: switching between them may still make it run away. Returned
-    are the words, the maps of one sample, and the longest time (s) found at which no cell is unstable by itself.
-    """
-    sampling, merged = conditions.sampling, controller.running is not controller.plant
-    if sampling is None:
-        return None
-    plant = controller.plant if merged else conditions.plant or controller.plant  # merged cells may be unstable
-    maps = SampleMaps(controller, plant, sampling)
-    cell, radius = maps.worst(sampling.sample_time)
-    if radius < _SURE:
-        return None
-    longest = maps.longest(sampling.sample_time)  # none: however short, it is unstable; that is seen when it runs
-    message = (
-        f"sampled every {sampling.sample_time:g} s, the loop is unstable in cell "
-        f"'{controller.plant.cell_names[cell]}': as long as it stays there, one sample multiplies an error by "
-        f"{radius:.{4 if radius > 1.001 else 9}g} in the long run{maps.grows(cell, sampling.sample_time, radius)}"
-    )
-    return None if longest is None else (message, maps, longest)
-
-
 @dataclass(frozen=True)
 class SampleMaps:
     """What deviations of plant, observer and generator become in one sample, where all are at rest in one cell.
@@ -86,11 +63,8 @@ class SampleMaps:
 
     def grows(self, cell: int, h: float, radius: float) -> str:
         """Say that it is the observer by itself that has a radius in a cell; "" where it is not."""
-        of = self.runs(h)
-        N, m = of.sizes["N"], self.plant.B.shape[1]
-        stepped = of.observer[cell][:, -N - m - 1 : -1]
-        if self.sampling.corrects:
-            stepped = np.linalg.matrix_power(np.vstack([np.eye(m, m + N), stepped]), of.substeps)[m:]
+        of, m = self.runs(h), self.plant.B.shape[1]
+        stepped = self._stepped(cell, of)
         error = stepped[:, m:] + (of.M @ of.C @ stepped[:, m:] if self.sampling.corrects else 0.0)
         own = float(np.abs(np.linalg.eigvals(error)).max()) if np.isfinite(error).all() else 0.0
         said = ", its observer by itself: larger 'sizes' of outputs make that calmer"
@@ -107,14 +81,14 @@ class SampleMaps:
         (n, m), of, late = self.plant.B.shape, self.runs(h), self.sampling.delay
         plant = expm(np.block([[self.plant.A[cell], self.plant.B], [np.zeros((m, n + m))]]) * h)  # u is held
         N, of_y = of.sizes["N"], np.zeros((of.sizes["N"], n))
-        stepped = of.observer[cell][:, -N - m - 1 : -1]  # on (u, x̂, ŝ)
-        if self.sampling.corrects:
-            once = np.vstack([np.eye(m, m + N), stepped])
-            stepped = np.linalg.matrix_power(once, of.substeps)[m:]
-        else:
+        stepped = self._stepped(cell, of)
+        if not self.sampling.corrects:
             of_y = of.observer[cell][:, : of.sizes["q"]] @ self.plant.C
         of_u, seen = stepped[:, :m], stepped[:, m:]
-        law = self._law(cell, of)
+        law = of.K  # of u on x̂ and, where loads are estimated, on their estimates ŝ and on η̂
+        if self.controller.plant.loads is not None:
+            known = N - of.sizes["n"] + of.sizes["p"]
+            law = np.hstack([law, of.u_ff[cell][:, :known] - law @ of.x_d[cell][:, :known]])
         k = n + law.shape[1]  # of plant, observer and, with loads, generator
         M, driven = np.zeros((k + m * late, k + m * late)), np.zeros((k, m))
         M[:n, :n], M[n : n + N, :n], M[n : n + N, n : n + N] = plant[:n, :n], of_y, seen
@@ -142,12 +116,13 @@ class SampleMaps:
             self._kept[h] = program(of, Conditions(sampling=replace(self.sampling, sample_time=h, jitter=0.0)))
         return self._kept[h]
 
-    def _law(self, cell: int, of: SampledController) -> Array:
-        """Return the rows of u on x̂ and, where loads are estimated, on their estimates ŝ and on η̂."""
-        if self.controller.plant.loads is None:
-            return of.K
-        known = of.sizes["N"] - of.sizes["n"] + of.sizes["p"]
-        return np.hstack([of.K, of.u_ff[cell][:, :known] - of.K @ of.x_d[cell][:, :known]])
+    def _stepped(self, cell: int, of: SampledController) -> Array:
+        """Return the rows of (x̂, ŝ) after one sample on (u, x̂, ŝ), before what is measured corrects it."""
+        N, m = of.sizes["N"], self.plant.B.shape[1]
+        once: Array = of.observer[cell][:, -N - m - 1 : -1]
+        if not self.sampling.corrects:
+            return once
+        return np.asarray(np.linalg.matrix_power(np.vstack([np.eye(m, m + N), once]), of.substeps)[m:])
 
     def longest(self, h: float) -> float | None:
         """Return the longest sample time below a given one at which each cell is stable by itself, in s, or None.
@@ -194,12 +169,23 @@ def sampling_remarks(controller: ProvedController) -> Iterator[str]:
 def refused(controller: ProvedController, conditions: Conditions) -> tuple[str, Remedy] | None:
     """Say why a sample time is refused at which the loop is unstable in some cell, where none is at a shorter one.
 
-    Returned are the cell and the spectral radius there, and a time at which runs die out if one is found.
+    Nothing is said of a loop that is stable in each cell: switching between them may still make it run away. Returned
+    are the cell and the spectral radius there, and a time at which runs die out if one is found.
     """
-    found = unstable_cell(controller, conditions)
-    if found is None:
+    sampling, merged = conditions.sampling, controller.running is not controller.plant
+    if sampling is None:
         return None
-    message, maps, longest = found
+    plant = controller.plant if merged else conditions.plant or controller.plant  # merged cells may be unstable
+    maps, h = SampleMaps(controller, plant, sampling), sampling.sample_time
+    cell, radius = maps.worst(h)
+    longest = maps.longest(h) if radius >= _SURE else None
+    if longest is None:  # however short, it is unstable: that is seen when it runs
+        return None
+    message = (
+        f"sampled every {h:g} s, the loop is unstable in cell '{controller.plant.cell_names[cell]}': as long as it "
+        f"stays there, one sample multiplies an error by {radius:.{4 if radius > 1.001 else 9}g} in the long run"
+        f"{maps.grows(cell, h, radius)}"
+    )
     offer = dying_out(maps, longest)
     if offer is None:
         message += f"; shorter times were tried down to {_tried(longest)[-1]:g} s, and with none do all "

@@ -69,7 +69,7 @@ def _lead(trajectory: DesiredTrajectory, signals: Sequence[Signal], duration: fl
     system = trajectory.exosystem
     if system.constant or not system.resets or system.begins() != 0.0:
         return None
-    moves = system.resets[0].t
+    moves = float(system.breaks[0])
     still = replace(trajectory, exosystem=replace(system, resets=()))
     rest = _Problem(still, 0.0, moves, periodic=True).solve().rest
     edges = np.append(signals[0].starts, duration)
@@ -84,7 +84,7 @@ def played_back(trajectory: DesiredTrajectory, duration: float) -> DesiredTrajec
     """Return the trajectory with the bounded solution in place of the filter η̂: x_d and u_ff are signals then."""
     signals, preview = bounded_solution(trajectory, duration)
     p = trajectory.rate.shape[1]
-    system = beside(trajectory.exosystem, signals)
+    system = beside(trajectory.exosystem, exosystem(signals))
     eta = system.Q[len(trajectory.exosystem.Q) :]
 
     def read(rows: Array) -> Array:
@@ -202,7 +202,7 @@ class _Problem:
         self.balanced = replace(trajectory, rate=self.rate, guards=guards)
         self.end, self.periodic, self.p = end, periodic, p
         self.turns = ReferenceTransition(system)
-        breaks = dict.fromkeys([start, 0.0, *(reset.t for reset in system.resets)])
+        breaks = dict.fromkeys([start, 0.0, *system.breaks.tolist()])
         self.breaks = [t for t in breaks if start <= t < end]
         starts = system.states(np.array(self.breaks, dtype=np.longdouble)).astype(np.float64)
         self.pieces = [replace(system, w0=w, resets=()) for w in starts]
@@ -217,26 +217,20 @@ class _Problem:
         guess = [_Stay(a, b, 0, k) for k, (a, b) in enumerate(pairwise([*self.breaks, self.end]))]
         found, way, step = None, 0.0, 1.0
         while way < 1.0:
-            trial = min(1.0, way + step)
-            solution = self._settled(guess, trial)
-            if solution is None:
+            trial, stays, modes = min(1.0, way + step), guess, dict[int, SplitModes]()
+            rate = (1 - trial) * self.rate[0] + trial * self.rate
+            for _ in range(_MOST_STEPS):
+                solution = _Solution(self, rate, modes, stays)
+                stays = solution.visited()
+                if solution.missed <= _MISSED:
+                    found, guess, way = solution, stays, trial
+                    break
+            else:
                 step /= 2
                 if step < _FINEST:
                     raise _unsettled("Newton's method does not settle")
-                continue
-            found, guess, way = solution, solution.visited(), trial
         assert found is not None
         return found
-
-    def _settled(self, stays: Sequence[_Stay], way: float) -> "_Solution | None":
-        rate = (1 - way) * self.rate[0] + way * self.rate
-        modes = dict[int, SplitModes]()
-        for _ in range(_MOST_STEPS):
-            solution = _Solution(self, rate, modes, stays)
-            if solution.missed <= _MISSED:
-                return solution
-            stays = solution.visited()
-        return None
 
     def w(self, piece: int, t: Array) -> Array:
         """Return (w, 1) of a piece at times in s, (K, s + 1)."""

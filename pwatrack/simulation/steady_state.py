@@ -53,9 +53,8 @@ def periodic_state(
 ) -> SteadyState:
     """Return one period of the periodic solution of a flow driven by a periodic exosystem.
 
-    The field is continuous, so crossing a facet multiplies the sensitivity by
-    the identity, and the derivative of the period map is the product of the
-    matrix exponentials of the stays in each mode, with no difference quotient.
+    The field is continuous, so crossing a facet multiplies the sensitivity by the identity, and the derivative of the
+    period map is the product of the matrix exponentials of the stays in each mode, with no difference quotient.
 
     Of the first guess z0, (N,), the leading `free` coordinates are solved for; the others (the exosystem and the
     constant) are kept, and repeat after one period by themselves. `subject` and `remedy` are what a refusal is about,

@@ -47,11 +47,9 @@ class Tables:
     def number(self, mode: Mode) -> int | None:
         """Return the number of a mode, None if there is no room for it; one that is new is filled in first."""
         with self._lock:
-            if mode not in self.numbers:
-                if len(self.met) == self.most:
-                    return None
+            if mode not in self.numbers and len(self.met) < self.most:
                 self._add(mode)
-            return self.numbers[mode]
+            return self.numbers.get(mode)
 
     def _add(self, mode: Mode) -> None:
         m = len(self.met)

@@ -100,7 +100,7 @@ def _goes_on(
     is known to, or if it rests from the start on, inside of a cell. `ends` are η̂(0) and that of the steady state.
     """
     system, p, generator = trajectory.exosystem, trajectory.rate.shape[1], trajectory.generator
-    if system.end is not None or any(reset.t > duration for reset in system.resets):
+    if system.end is not None or (system.breaks > duration).any():
         return False
     if not p or w_alone(all_gains, p):
         w = system.states(np.array([duration]))[0]

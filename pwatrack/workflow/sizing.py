@@ -147,7 +147,7 @@ def _lasting(t: Array, values: Array) -> Array:
 def _times(system: Exosystem, duration: float) -> Array:
     """Return times in s up to the end of a run or of the signals."""
     end = duration if system.end is None else min(duration, system.end)
-    breaks = np.array([0.0, *(t for t in dict.fromkeys(reset.t for reset in system.resets) if t < end)])
+    breaks = np.append(0.0, system.breaks[system.breaks < end])
     even = end * (np.arange(1, _TIMES + 1) * _GOLDEN % 1.0)
     return np.sort(np.concatenate([breaks, (breaks + np.append(breaks[1:], end)) / 2, even]))
 
