@@ -72,11 +72,11 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
     names = [one.name for one in axes]
     if len(set(names)) < len(names):
         raise InvalidSpec(f"--sweep: {', '.join(names)}: each parameter once")
-    total = prod(one.points for one in axes) if method == "grid" else count
+    total = prod(len(one.values) for one in axes) if method == "grid" else count
     if total > MOST:
         raise InvalidSpec(f"--sweep: {total:,} points, at most {MOST:,} are looked at")
     if method == "grid":
-        return [dict(zip(names, row, strict=True)) for row in product(*(one.grid for one in axes))]
+        return [dict(zip(names, row, strict=True)) for row in product(*(map(float, one.values) for one in axes))]
     import numpy as np
     from scipy.stats import qmc
 
@@ -162,9 +162,7 @@ def sweep(
     if refine is None:
         return points, []
     found = [
-        executor.submit(
-            with_files, files, bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low)
-        )
+        executor.submit(with_files, files, bisect, spec, set_, one, other, axis.name, refine * axis.width)
         for one, other, axis in neighbours(points, axes)
         if one.proof != other.proof and one.known and other.known
     ]
@@ -176,9 +174,9 @@ def neighbours(points: Sequence[Point], axes: Sequence[Axis]) -> Iterator[tuple[
     step = 1
     for one in reversed(axes):
         for k, point in enumerate(points):
-            if k // step % one.points < one.points - 1:
+            if k // step % len(one.values) < len(one.values) - 1:
                 yield point, points[k + step], one
-        step *= one.points
+        step *= len(one.values)
 
 
 def _ended(futures: Sequence[Future[Any]], progress: Callable[[int, int], object]) -> Sequence[Future[Any]]:
