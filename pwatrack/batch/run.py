@@ -55,18 +55,12 @@ def run_batch(
         Job(spec=spec, out=out / place, parameters=options.parameters, plots=options.plots, outside=options.outside)
         for spec, place in places.items()
     ]
-    outcomes = dict[Path, SpecOutcome]()
-    for outcome in _all(jobs, out, options, work, preload, executor):
+    outcomes, rest = dict[Path, SpecOutcome](), list[Job]()
+
+    def ended(outcome: SpecOutcome) -> None:
         outcomes[outcome.spec] = outcome
         told(outcome)
-    return [outcomes[job.spec] for job in jobs]
 
-
-def _all(
-    jobs: Sequence[Job], out: Path, options: Options, work: Work, preload: Sequence[str], executor: Executor | None
-) -> Iterator[SpecOutcome]:
-    """Yield the outcomes of jobs, first of those that need not be run again."""
-    rest = list[Job]()
     for job in jobs:
         sweep(job.out)
         start = time.perf_counter()
@@ -76,12 +70,15 @@ def _all(
         if outcome is None or (outcome.failed and options.again == "failed"):
             rest.append(job)
         else:
-            yield outcome
+            ended(outcome)
     if executor is not None:
-        yield from _worked_off(rest, out, partial(send, executor, work), options)
+        for outcome in _worked_off(rest, out, partial(send, executor, work), options):
+            ended(outcome)
     elif rest:
         with Pool(options.jobs, timeout=options.timeout, memory=options.memory, preload=preload) as pool:
-            yield from _worked_off(rest, out, partial(pool.submit, done, work), options)
+            for outcome in _worked_off(rest, out, partial(pool.submit, done, work), options):
+                ended(outcome)
+    return [outcomes[job.spec] for job in jobs]
 
 
 def _worked_off(
