@@ -41,10 +41,8 @@ class StepSection(Section):
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["at"]}, {"required": ["centre"]}]})
 
     size: Number
-    at: Number | None = None
-    """When it begins, in s."""
-    centre: Number | None = None
-    """Its middle, in s, in place of `at`."""
+    at: Number | None = Field(None, description="When it begins, in s.")
+    centre: Number | None = Field(None, description="Its middle, in s, in place of `at`.")
     smooth: Positive | None = None
 
 
@@ -148,9 +146,11 @@ class PaceSection(Section):
     jerk: Positive
     snap: Positive | None = None
     crackle: Positive | None = None
-    range: Interval | None = None
-    """What set-points may be: one that is beyond counts as its end. Needed where inputs have limits and a value of
-    the output itself takes some of them."""
+    range: Interval | None = Field(
+        None,
+        description="What set-points may be: one that is beyond counts as its end. Needed where inputs have limits and "
+        "a value of\nthe output itself takes some of them.",
+    )
 
     @property
     def limits(self) -> list[float]:
@@ -180,16 +180,20 @@ class ReferenceSection(Section):
         }
     )
 
-    output: Signals | None = None
-    """Of one tracked output, or of each by its name."""
-    preview: Literal["auto", "none"] = "auto"
-    """Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is refused."""
-    outside: OutsideSection | None = None
-    """What the program makes of set-points at run time, where it is exported for these."""
+    output: Signals | None = Field(None, description="Of one tracked output, or of each by its name.")
+    preview: Literal["auto", "none"] = Field(
+        "auto",
+        description="Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is "
+        "refused.",
+    )
+    outside: OutsideSection | None = Field(
+        None, description="What the program makes of set-points at run time, where it is exported for these."
+    )
     state: Annotated[list[Signal], shaped("states")] | None = None
     input: Annotated[list[Signal], shaped("inputs")] | None = None
-    start: Annotated[PeriodicOrVector, shaped("states")] | None = None
-    """x_d(0); an empty list where it is the periodic steady state."""
+    start: Annotated[PeriodicOrVector, shaped("states")] | None = Field(
+        None, description="x_d(0); an empty list where it is the periodic steady state."
+    )
     setpoint: dict[str, Number] | None = None
 
     def rules(self, context: Context) -> Iterator[Fault]:
