@@ -53,7 +53,7 @@ class Lost(CheckFailed):
         self.reason, self.killer, self.said, self.seconds = reason, killer, said, seconds
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(kw_only=True)
 class _Worker:
     """A process, which takes tasks and answers, and what it has said on stderr."""
 
@@ -62,10 +62,13 @@ class _Worker:
     errors: Connection
     said: bytearray = field(default_factory=bytearray)
 
-    def message(self, limit: float | None) -> bytes:
-        """Return what the process sends within so many seconds, else a TimeoutError, or an EOFError if it ends."""
+    def message(self, limit: float | None, *ends: Connection) -> bytes:
+        """Return what the process sends within so many seconds, else a TimeoutError.
+
+        An EOFError says that it has ended, or that one of `ends` has.
+        """
         until = inf if limit is None else time.monotonic() + limit
-        watched: list[Any] = [self.tasks, self.errors, self.process.sentinel]
+        watched: list[Any] = [self.tasks, self.errors, self.process.sentinel, *ends]
         while (left := until - time.monotonic()) > 0:
             ready = wait(watched, min(left, _LONGEST_WAIT))
             self._hear()
@@ -74,7 +77,7 @@ class _Worker:
                     return self.tasks.recv_bytes()
                 except (EOFError, OSError):  # it is dying: seen from its sentinel
                     watched.remove(self.tasks)
-            if self.process.sentinel in ready:
+            if not {self.process.sentinel, *ends}.isdisjoint(ready):
                 raise EOFError
         raise TimeoutError
 
@@ -138,9 +141,8 @@ class Pool(Executor):
         not_ours = signal.SIG_BLOCK, {signal.SIGINT, signal.SIGPIPE}
         self._threads = ThreadPoolExecutor(jobs, initializer=signal.pthread_sigmask, initargs=not_ours)
         self._lock = threading.Lock()
-        self._workers = set[_Worker]()
-        self._idle: list[_Worker] = []  # those of them that have no task
-        self._killing = False
+        self._idle: list[_Worker] = []
+        self._killed, self._kill = self._context.Pipe(duplex=False)  # closed where nothing is to go on
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Return the future of a call, which some process will make."""
@@ -158,21 +160,12 @@ class Pool(Executor):
         for worker in idle:
             worker.process.terminate()
         for worker in idle:
-            self._ended(worker)
+            worker.end()
 
     def kill_workers(self) -> None:
         """Cancel what has not begun, and end all processes: what they are at is lost."""
-        with self._lock:
-            self._killing, workers = True, [worker.process for worker in self._workers]
-        with uninterrupted():
-            self._threads.shutdown(wait=False, cancel_futures=True)
-        for process in workers:
-            process.terminate()
-        until = time.monotonic() + _GRACE
-        for process in workers:
-            if not wait([process.sentinel], max(0.0, until - time.monotonic())):
-                process.kill()
-        self.shutdown(wait=bool(workers))  # the first, if it comes yet, ends as it begins
+        self._kill.close()
+        self.shutdown(cancel_futures=True)
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
@@ -187,17 +180,15 @@ class Pool(Executor):
         worker, taken, reason = idle or self._start(), False, ""
         begun = time.monotonic()
         try:
-            if self._killing:
-                raise EOFError
             with suppress(OSError):  # it died meanwhile
                 worker.tasks.send_bytes(content)
-            worker.message(None if self._timeout is None else self._timeout + _START * (idle is None))
+            worker.message(None if self._timeout is None else self._timeout + _START * (idle is None), self._killed)
             begun, taken = time.monotonic(), True
-            message = worker.message(self._timeout)
+            message = worker.message(self._timeout, self._killed)
         except TimeoutError:
             reason = f"given up after {self._timeout:g} s"
         except EOFError:
-            reason = "interrupted" * self._killing
+            reason = "interrupted" * self._kill.closed
         else:
             worker.said.clear()
             with self._lock:
@@ -208,7 +199,7 @@ class Pool(Executor):
             if isinstance(answer, MemoryError):
                 raise Lost(str(answer), seconds=time.monotonic() - begun)
             raise answer
-        code = self._ended(worker)
+        code = worker.end()
         if idle and not taken and not reason:  # it died of something else
             return self._call(content)
         killer = -code if code < 0 and not reason else 0
@@ -237,15 +228,7 @@ class Pool(Executor):
         theirs.close()
         said.close()
         os.set_blocking(errors.fileno(), False)
-        worker = _Worker(process=process, tasks=ours, errors=errors)
-        with self._lock:
-            self._workers.add(worker)
-        return worker
-
-    def _ended(self, worker: _Worker) -> int:
-        with self._lock:
-            self._workers.remove(worker)
-        return worker.end()
+        return _Worker(process=process, tasks=ours, errors=errors)
 
 
 def serve(
@@ -257,11 +240,9 @@ def serve(
 ) -> None:
     """Work off tasks: (function, arguments, named arguments) come, and (answer, whether it is one) go.
 
-    As a task is taken, that is said.
-
-    All that the process says on stderr goes to `errors`. A task may take so many megabytes beyond the program itself.
-    The modules of `preload` are there before the first task, also if the fork server was begun for another pool; what
-    it was begun in is not what its processes have: `environment` is put back.
+    As a task is taken, that is said. All that the process says on stderr goes to `errors`. A task may take so many
+    megabytes beyond the program itself. The modules of `preload` are there before the first task, also if the fork
+    server was begun for another pool; what it was begun in is not what its processes have: `environment` is put back.
     """
     _follow_parent()
     _restore(environment)
