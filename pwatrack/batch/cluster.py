@@ -194,26 +194,16 @@ def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
         pool = idle.pop()
     except IndexError:
         pool = Pool(1, timeout=timeout, memory=memory, preload=preload)
-    future = pool.submit(_called, content)
+    function, positional, named = ForkingPickler.loads(content)
+    future = pool.submit(function, *positional, **named)
     while not futures.wait([future], _LOOK).done:
         if _forgotten():
             pool.kill_workers()
     if future.cancelled() or _forgotten():
         return b""  # nobody asks for it
-    error = future.exception()
-    answer = _answer(error, False) if error else future.result()
     idle.append(pool)
-    return bytes(answer)
-
-
-def _called(content: bytes) -> bytes:
-    function, positional, named = ForkingPickler.loads(content)
-    try:
-        return _answer(function(*positional, **named), True)
-    except MemoryError:
-        raise
-    except Exception as error:
-        return _answer(error, False)
+    error = future.exception()
+    return _answer(error, False) if error else _answer(future.result(), True)
 
 
 def _answer(answer: object, fine: bool) -> bytes:
