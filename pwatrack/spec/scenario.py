@@ -9,7 +9,6 @@ import numpy as np
 import scipy
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
@@ -26,11 +25,11 @@ from pwatrack.model.reference import (
     total_signal,
 )
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.rational import fraction_of
 from pwatrack.real import Box, Real, Uncertain
 from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection, ends_of
 from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.plant_section import SystemSection
 from pwatrack.spec.signal_section import (
     OutsideSection,
     PolylineSection,
@@ -222,30 +221,25 @@ def _check_rounding(smooth: float | None, span: float, subject: Subject) -> None
         _check_fine(f"smooth: {smooth:g} s", smooth, span, subject)
 
 
-def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, plant: PWASystem) -> Loads | None:
+def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, system: SystemSection) -> Loads | None:
     """Return the loads that are to be estimated; None for none."""
     if estimate is None:
         return None
     if isinstance(estimate, str):
-        columns = [_reals(plant.exact.B.part(range(len(plant.states)), [k])) for k in range(len(plant.inputs))]
-        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(plant.inputs, columns, strict=True)]
+        columns = [
+            {j: v for j, v in enumerate(column) if v.centre or v.radius} for column in zip(*system.B, strict=True)
+        ]
+        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(system.inputs, columns, strict=True)]
     else:
         loads = [
             Load(
                 name=name,
-                into={plant.states.index(state): factor for state, factor in section.into.items()},
+                into={system.states.index(state): factor for state, factor in section.into.items()},
                 frequency=section.frequency or Real.of(0),
             )
             for name, section in estimate.items()
         ]
-    return Loads.of(loads, states=len(plant.states))
-
-
-def _reals(column: BallMatrix) -> dict[int, Real]:
-    """Return the entries of a column that are not 0."""
-    radius = column.centre * 0 if column.radius is None else column.radius
-    both = enumerate(zip(column.centre.entries(), radius.entries(), strict=True))
-    return {j: Real(fraction_of(c), fraction_of(r)) for j, (c, r) in both if c or r}
+    return Loads.of(loads, states=len(system.states))
 
 
 def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 0.0) -> Array:
