@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import groupby, product
 from math import prod
 from pathlib import Path
 from typing import Any, Literal
@@ -203,15 +203,12 @@ def told_of(points: Sequence[Point], edges: Sequence[Edge]) -> Iterator[str]:
     """
     names, found = list(points[0].values), [point for point in points if point.proved]
     for name in names if len(names) == 1 and found else ():
-        runs = list[list[Point]]()
-        for point in sorted(points, key=lambda point: point.values[name]):
-            if not point.proved or not runs or runs[-1][-1].proof != point.proof:
-                runs.append([])
-            runs[-1].append(point)
-        for run in (run for run in runs if run[0].proved):
-            low, high = (f"{run[k].values[name]:.6g}" for k in (0, -1))
+        for proof, run in groupby(sorted(points, key=lambda point: point.values[name]), lambda point: point.proof):
+            values = [point.values[name] for point in run]
+            low, high = (f"{values[k]:.6g}" for k in (0, -1))
             where = f"{name} = {low}" + f" to {high}" * (low != high)
-            yield f"{run[0].proof} at {len(run):,} of {len(points):,} values: {where}"
+            if proof != NONE:
+                yield f"{proof} at {len(values):,} of {len(points):,} values: {where}"
     for edge in edges if len(names) == 1 else ():
         yield f"{edge.inside.proof} at {_at(edge.inside)}, {edge.beyond.verdict} at {_at(edge.beyond)}"
     good = [point for point in found if point.exit == ExitCode.DONE]

@@ -15,12 +15,13 @@ from pydantic import (
     model_validator,
 )
 
-from pwatrack.errors import Subject
+from pwatrack.errors import Subject, listed
 from pwatrack.real import Real
 from pwatrack.spec.wording import guess, shown
 from pwatrack.spec.yaml_tree import at_path
 
 MOST = 100  # for so many faults of a kind it is guessed what was meant
+_FEW = 20  # names that are known, of very many
 
 
 @dataclass(frozen=True)
@@ -183,12 +184,6 @@ def unknown_names(names: Iterable[str], known: Collection[str]) -> Iterator[tupl
             count += 1
 
 
-def listed(names: Iterable[str], most: int = 20) -> str:
-    """Return names joined by commas, the first ones where there are very many."""
-    names = tuple(names)
-    return ", ".join(names[:most]) + (", …" if len(names) > most else "") or "none"
-
-
 def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
     """Return a validator of a mapping by name: each is one of the names that a property of the context has.
 
@@ -201,7 +196,7 @@ def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
             return  # they are in error themselves
         for name, meant in unknown_names(value, known):
             at = (name,) if form[:1] == ";" else ()
-            text = f": {shown(name)} is no {kind}{form.format(listed(known))}{meant}"
+            text = f": {shown(name)} is no {kind}{form.format(listed(tuple(known), _FEW) or 'none')}{meant}"
             yield Fault(text, at, key=() if at else (name,), late=not known or of == "followed")
 
     return also(check)
