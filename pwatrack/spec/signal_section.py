@@ -210,35 +210,25 @@ class ReferenceSection(Section):
         if self.preview != "auto" and self.output is None:
             yield Fault(".preview goes with reference.output", key=("preview",))
         if self.outside is not None:
-            yield from self._outside_faults(context)
+            if self.output is None:
+                yield Fault(".outside goes with reference.output", key=("outside",))
+            yield from _not_each(self.outside.filter, context.followed, ("outside", "filter"))
+            if len({len(pace.limits) for pace in self.outside.filter.values()}) > 1:
+                yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
         if self.input is not None and self.start is None:
             yield Fault(".start is missing: x_d(0), or 'periodic'")
-        if self.output is not None and "output" in fitting and context.followed:
-            yield from _output_faults(self.output, context.followed)
+        followed = context.followed if "output" in fitting else ()
+        if isinstance(self.output, dict) and followed:
+            hint = f"entries of a signal are {', '.join(ProfileSection.model_fields)}"
+            yield from _not_each(self.output, followed, ("output",), f" ({', '.join(followed)})", hint)
+        elif self.output is not None and len(followed) > 1:
+            text = f".output is one signal, and {len(followed)} outputs are tracked: {', '.join(followed)}"
+            one = followed[0]
+            hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
+            yield Fault(text, hint=hint, key=("output",), late=True)
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
             tracked, own = (", ".join(names) for names in (context.followed, self.setpoint))
             yield Fault(f"setpoint must give what is tracked, {tracked}, and gives {own}", ("setpoint",), late=True)
-
-    def _outside_faults(self, context: Context) -> Iterator[Fault]:
-        assert self.outside is not None
-        given = self.outside.filter
-        if self.output is None:
-            yield Fault(".outside goes with reference.output", key=("outside",))
-        yield from _not_each(given, context.followed, ("outside", "filter"))
-        if len({len(pace.limits) for pace in given.values()}) > 1:
-            yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
-
-
-def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
-    """Yield where there is no signal for a tracked output, or one for anything else."""
-    if isinstance(output, dict):
-        hint = f"entries of a signal are {', '.join(ProfileSection.model_fields)}"
-        yield from _not_each(output, tracked, ("output",), f" ({', '.join(tracked)})", hint)
-    elif len(tracked) > 1:
-        text = f".output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
-        one = tracked[0]
-        hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
-        yield Fault(text, hint=hint, key=("output",), late=True)
 
 
 def _not_each(

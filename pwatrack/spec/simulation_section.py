@@ -200,12 +200,9 @@ class SimulationSection(Section):
             if duration / period > most:
                 hint = "" if at else "the sample time moves no event; a longer one only draws fewer points"
                 yield Fault(f"{duration / period:.3g} {what}, at most {most:,} are taken", (*at, "sample_time"), hint)
-        if self.ensemble.initial is not None:
-            yield from self._not_varied(self.ensemble.initial)
-
-    def _not_varied(self, regions: StartRegionsSection) -> Iterator[Fault]:
-        """Yield where nothing is varied in an ensemble, or what has no start that is known."""
-        at = ("ensemble", "initial")
+        at, regions = ("ensemble", "initial"), self.ensemble.initial
+        if regions is None:
+            return
         if not (regions.plant or regions.observer or regions.generator):
             yield Fault(": nothing is varied", at, "for example plant: {z1: [-0.1, 0.1]}")
         if self.initial.observer == "measured" and regions.observer is not None:
