@@ -89,7 +89,7 @@ def distances(axes: list[Axis], edges: list[Edge]) -> list[float]:
         k2, d1 = edge.inside.values["k2"], edge.inside.values["d1"]
         curve = (K1**0.5 + d1 + D2) ** 2 - K1 if edge.name == "k2" else sqrt(K1 + k2) - sqrt(K1) - D2
         low, high = sorted((edge.inside.values[edge.name], edge.beyond.values[edge.name]))
-        width = WIDTH * float(next(one.high - one.low for one in axes if one.name == edge.name))
+        width = WIDTH * next(one.width for one in axes if one.name == edge.name)
         found.append(max(low - curve, curve - high, 0.0) / width)
     return found
 

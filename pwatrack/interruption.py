@@ -13,8 +13,6 @@ _T = TypeVar("_T")
 _LONGEST_WAIT = 0.5  # s: a signal that comes just before a wait begins does not end it
 _SIGNALLED = 128  # and the number of the signal: the exit code, as shells have it
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
 _ended_by: list[int] = []  # signals that were to end the program
 
 
@@ -90,8 +88,5 @@ def as_ended(futures: Collection[Future[_T]]) -> Iterator[Future[_T]]:
 
 def in_order(futures: Sequence[Future[_T]]) -> Iterator[Future[_T]]:
     """Yield each future when it has ended, and those before it: see `as_ended`."""
-    ended, there = as_ended(futures), set[Future[_T]]()
     for future in futures:
-        while future not in there:
-            there.add(next(ended))
-        yield future
+        yield from as_ended([future])

@@ -21,7 +21,7 @@ from pwatrack import ensemble, load_spec, simulate
 from pwatrack.batch.cluster import Cluster
 from pwatrack.batch.outcomes import SpecOutcome
 from pwatrack.batch.pool import Lost, Pool
-from pwatrack.batch.run import Options, Watcher, run_batch
+from pwatrack.batch.run import Options, run_batch
 from pwatrack.batch.sweep import places, sweep
 from pwatrack.cli import app
 from pwatrack.errors import InvalidSpec
@@ -82,7 +82,7 @@ def second(scheduler: str) -> Iterator["subprocess.Popen[bytes]"]:
         worker.kill()
 
 
-class Killing(Watcher):
+class Killing:
     """Kills a worker when some have ended."""
 
     def __init__(self, worker: "subprocess.Popen[bytes]", after: int) -> None:
@@ -139,7 +139,7 @@ def test_a_batch_is_the_same_on_two_workers_of_which_one_is_killed(
     here = run_batch(folder, local, Options(plots="failed"))
     with Cluster(scheduler, timeout=300) as cluster:
         watcher = Killing(second, 2)
-        there = run_batch(folder, remote, Options(plots="failed", jobs=2), executor=cluster, watcher=watcher)
+        there = run_batch(folder, remote, Options(plots="failed", jobs=2), executor=cluster, told=watcher.ended)
     assert watcher.count == len(there) == 12
     assert said(here, local) == said(there, remote)
     assert {o.exit for o in there} >= {0, 2, 3, 4}

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from pwatrack.batch.outcomes import SpecOutcome
-from pwatrack.batch.run import Options, Watcher, run_batch
+from pwatrack.batch.run import Options, run_batch
 from pwatrack.cli import app
 from pwatrack.report.run_folder import INDEX, read_index
 from tests.stand_ins import bulky
@@ -53,9 +53,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "specs"
 
 
-def run(folder: Path, out: Path, watcher: Watcher | None = None) -> list[SpecOutcome]:
+def run(folder: Path, out: Path, told: Callable[[SpecOutcome], None] = lambda _: None) -> list[SpecOutcome]:
     options = Options(again="changed", jobs=2)
-    return run_batch(folder, out, options, work=bulky, preload=["tests.stand_ins"], watcher=watcher)
+    return run_batch(folder, out, options, work=bulky, preload=["tests.stand_ins"], told=told)
 
 
 def whole(out: Path) -> set[str]:
@@ -94,7 +94,7 @@ def test_a_batch_on_a_disk_that_gets_full_goes_on_once_there_is_room(folder: Pat
     check_gone_on(folder, disk / "out", first, "No space left on device", least=1)
 
 
-class ReadOnly(Watcher):
+class ReadOnly:
     """Makes a disk read-only after three specs."""
 
     def __init__(self, disk: Path) -> None:
@@ -108,7 +108,7 @@ class ReadOnly(Watcher):
 
 def test_a_batch_in_a_folder_that_turns_read_only_goes_on_once_it_can_be_written(folder: Path, disk: Path) -> None:
     remounted(disk, "size=4m")
-    first = run(folder, disk / "out", ReadOnly(disk))
+    first = run(folder, disk / "out", ReadOnly(disk).ended)
     remounted(disk, "rw")
     check_gone_on(folder, disk / "out", first, "Read-only file system", least=3)
 

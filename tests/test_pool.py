@@ -75,7 +75,7 @@ def test_what_a_task_returns_or_raises_comes_back() -> None:
             failed.result()
         with pytest.raises(RuntimeError, match="pickle"):
             odd.result()
-    with pytest.raises(RuntimeError, match="closed"):
+    with pytest.raises(RuntimeError, match="shutdown"):
         pool.submit(divmod, 1, 1)
 
 

@@ -211,7 +211,7 @@ def test_without_a_section_and_a_range_nothing_varies(spec: Path) -> None:
 
 
 def test_given_values_are_drawn_as_often_as_each_other() -> None:
-    given = Axis.through("a", (Fraction(0), Fraction(1, 10), Fraction(5)))
+    given = Axis(name="a", values=(Fraction(0), Fraction(1, 10), Fraction(5)))
     drawn = [place["a"] for place in places([given, axis("b=0:1")], "lhs", 30)]
     assert sorted(drawn) == [0.0] * 10 + [0.1] * 10 + [5.0] * 10
 

@@ -27,8 +27,8 @@ _DIGITS = 4  # of a number
 def explored(spec: Path, told: list[str]) -> str:
     """Return HTML with sliders for the parameters of these axes, such as 'k=0.1:0.9:5', and what came out at each."""
     axes = [axis(text) for text in told]
-    at = list(product(*(range(one.points) for one in axes)))
-    grids = {one.name: list(one.grid) for one in axes}
+    at = list(product(*(range(len(one.values)) for one in axes)))
+    grids = {one.name: list(map(float, one.values)) for one in axes}
     found = [
         _place(spec, {name: grid[k] for (name, grid), k in zip(grids.items(), place, strict=True)}) for place in at
     ]

@@ -8,11 +8,11 @@ done again by another one.
 import multiprocessing
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from concurrent.futures import Executor, Future
 from dataclasses import replace
+from functools import lru_cache
 from importlib import import_module
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -176,8 +176,10 @@ def _unusable(message: str, hint: str = "") -> InvalidSpec:
     return InvalidSpec(message, subject=None, hint=hint)
 
 
-_IDLE = defaultdict[Settings, list[Pool]](list)  # on a worker: processes that wait for a task, by how they are limited
-_TAKING = threading.Lock()
+@lru_cache(maxsize=1)  # those that are limited otherwise than was last asked for end
+def _idle(_: Settings) -> list[Pool]:
+    """Return the processes on a worker that wait for a task and are limited like this."""
+    return []
 
 
 def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
@@ -187,35 +189,21 @@ def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
         said = ", ".join(f"{name} {here} instead of {there}" for name, here, there in other)
         return _answer(_unusable(f"--scheduler: a worker has {said}", "install the same versions there"), False)
     multiprocessing.current_process().daemon = False  # that of a nanny may have no children; ours end with it anyway
-    with _TAKING:
-        pool = _IDLE[settings].pop() if _IDLE[settings] else None
-        for others in [key for key in _IDLE if key != settings]:
-            for idle in _IDLE.pop(others):
-                idle.shutdown(wait=False)
-    if pool is None:
-        timeout, memory, preload = settings
+    idle, (timeout, memory, preload) = _idle(settings), settings
+    try:
+        pool = idle.pop()
+    except IndexError:
         pool = Pool(1, timeout=timeout, memory=memory, preload=preload)
-    future = pool.submit(_called, content)
+    function, positional, named = ForkingPickler.loads(content)
+    future = pool.submit(function, *positional, **named)
     while not futures.wait([future], _LOOK).done:
         if _forgotten():
             pool.kill_workers()
     if future.cancelled() or _forgotten():
         return b""  # nobody asks for it
+    idle.append(pool)
     error = future.exception()
-    answer = _answer(error, False) if error else future.result()
-    with _TAKING:
-        _IDLE[settings].append(pool)
-    return bytes(answer)
-
-
-def _called(content: bytes) -> bytes:
-    function, positional, named = ForkingPickler.loads(content)
-    try:
-        return _answer(function(*positional, **named), True)
-    except MemoryError:
-        raise
-    except Exception as error:
-        return _answer(error, False)
+    return _answer(error, False) if error else _answer(future.result(), True)
 
 
 def _answer(answer: object, fine: bool) -> bytes:

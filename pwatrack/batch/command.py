@@ -11,11 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pwatrack.batch.cluster import Cluster
-from pwatrack.batch.find import left_out
+from pwatrack.batch.find import find_specs, left_out
 from pwatrack.batch.outcomes import FIGURES, SpecOutcome, counted, exit_code
 from pwatrack.batch.page import write_page
 from pwatrack.batch.reports import add_summary, annotations, write_junit, write_lines, write_sarif
-from pwatrack.batch.run import Options, Watcher, run_batch
+from pwatrack.batch.run import Options, run_batch
 from pwatrack.batch.work import Work, simulate
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.terminal import STYLE, console
@@ -42,15 +42,14 @@ def batch(
     writers = [(WRITERS[path.suffix.lower()], path) for path in reports] + ([(write_junit, junit)] if junit else [])
     for path, reason in left_out(paths, options.pattern):
         console(stderr=True).print(f"{path}: left out: {reason}", soft_wrap=True)
-    ended: Sequence[SpecOutcome] = []
+    total, ended = len(find_specs(paths, options.pattern)), list[SpecOutcome]()
     try:
         workers: AbstractContextManager[Cluster | None] = nullcontext()
         if scheduler:
             workers = Cluster(scheduler, timeout=options.timeout, memory=options.memory)
-        with workers as cluster, board(console(stderr=True)) as watcher:
-            ended = watcher.outcomes
+        with workers as cluster, board(console(stderr=True), total, ended) as told:
             options = replace(options, jobs=cluster.jobs) if cluster else options
-            outcomes = run_batch(paths, out, options, work=work, executor=cluster, watcher=watcher)
+            outcomes = run_batch(paths, out, options, work=work, executor=cluster, told=told)
     except (KeyboardInterrupt, SystemExit):
         _report(sorted(ended, key=lambda outcome: outcome.spec), writers)
         raise
@@ -78,44 +77,25 @@ def _report(outcomes: Sequence[SpecOutcome], writers: Sequence[tuple[Writer, Pat
         raise InvalidSpec(*(problem for refusal in refused for problem in refusal.problems))
 
 
-class Board(Watcher):
-    """Says on a console which specs have ended, and how: use it through `board`."""
-
-    def __init__(self, screen: Console, progress: Progress | None) -> None:
-        self.outcomes = list[SpecOutcome]()
-        self._screen, self._progress, self._total, self._failures = screen, progress, 0, 0
-        self._bar = progress.add_task("specs", total=None, failed="") if progress else None
-
-    def begins(self, total: int) -> None:
-        """Learn how many specs there are."""
-        self._total = total
-        if self._progress and self._bar is not None:
-            self._progress.update(self._bar, total=total)
-
-    def ended(self, outcome: SpecOutcome) -> None:
-        """Say how one of them ended: at a terminal, cached and skipped ones only move the bar."""
-        self.outcomes.append(outcome)
-        self._failures += outcome.failed
-        done, failures = len(self.outcomes), self._failures
-        if self._progress is None or outcome.how == "run":
-            width = len(str(self._total))
-            verdict = "" if outcome.passed and not outcome.exit else f": {outcome.verdict}"
-            text = f"[{done:{width}}/{self._total}] {outcome.result} {outcome.spec}{verdict}"
-            said = text if outcome.how != "run" else f"{text} ({outcome.seconds:.1f} s)"
-            self._screen.print(said, style=_STYLES.get(outcome.result, "red"), soft_wrap=True)
-        if self._progress and self._bar is not None:
-            self._progress.update(self._bar, completed=done, failed=f"{failures} failed" if failures else "")
-
-
 @contextmanager
-def board(screen: Console) -> Iterator[Board]:
-    """Return a board for a console, with a bar at a terminal until the block ends."""
-    if not screen.is_terminal:
-        yield Board(screen, None)
-        return
+def board(screen: Console, total: int, ended: list[SpecOutcome]) -> Iterator[Callable[[SpecOutcome], None]]:
+    """Return what adds outcomes to a list and says them, at a terminal with a bar, which alone tells of cached ones."""
     columns = (TextColumn("specs"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[failed]}", style="red"))
-    with Progress(*columns, TimeElapsedColumn(), console=screen, transient=True) as progress:
-        yield Board(screen, progress)
+    off = not screen.is_terminal
+    with Progress(*columns, TimeElapsedColumn(), console=screen, transient=True, disable=off) as progress:
+        bar = progress.add_task("specs", total=total, failed="")
+
+        def told(outcome: SpecOutcome) -> None:
+            ended.append(outcome)
+            if off or outcome.how == "run":
+                verdict = "" if outcome.passed and not outcome.exit else f": {outcome.verdict}"
+                text = f"[{len(ended):{len(str(total))}}/{total}] {outcome.result} {outcome.spec}{verdict}"
+                said = text if outcome.how != "run" else f"{text} ({outcome.seconds:.1f} s)"
+                screen.print(said, style=_STYLES.get(outcome.result, "red"), soft_wrap=True)
+            failures = sum(each.failed for each in ended)
+            progress.update(bar, completed=len(ended), failed=f"{failures} failed" if failures else "")
+
+        yield told
 
 
 def print_batch(outcomes: Sequence[SpecOutcome]) -> None:

@@ -1,8 +1,8 @@
 """Which specs a batch is about, and in which folder each of them leaves its run."""
 
-import fnmatch
 import os
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pwatrack.errors import InvalidSpec
@@ -53,13 +53,11 @@ def run_name(spec: Path) -> str:
 
 
 def _named(folder: Path, pattern: str | None) -> list[Path]:
-    if pattern is None:
-        return [path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS]
-    return [
-        path
-        for path in folder.rglob("*")
-        if any(fnmatch.fnmatchcase(name, pattern) for name in (path.name, str(path.relative_to(folder))))
-    ]
+    def is_named(path: Path) -> bool:
+        names = path.name, str(path.relative_to(folder))
+        return path.suffix.lower() in _ENDINGS if pattern is None else any(fnmatchcase(n, pattern) for n in names)
+
+    return list(filter(is_named, folder.rglob("*")))
 
 
 def _apart(found: dict[Path, Path]) -> dict[Path, Path]:

@@ -46,7 +46,7 @@ def _row(outcome: SpecOutcome, here: Path, *, required: bool) -> str:
         notes.append(f"<details><summary>what it said</summary><pre>{escaped(outcome.messages)}</pre></details>")
     met = len(outcome.required) - len(outcome.missed)
     left = bool(outcome.figures)  # else what is in its folder is of an earlier run
-    name = _breakable(str(outcome.spec))
+    name = re.sub("([/_])", r"\1<wbr>", escaped(str(outcome.spec)))  # it may go on in the next line after each part
     cells = [
         f'<td class="spec">{_linked(name, outcome.folder / PAGE, here) if left else name}</td>',
         f'<td class="{_kind(outcome)}">{escaped(outcome.result)}</td>',
@@ -90,11 +90,6 @@ def _linked(shown: str, file: Path, here: Path) -> str:
     """Return HTML as a link to a file, if that is there."""
     link = quote(os.fsencode(os.path.relpath(file, here)))
     return f'<a href="{link}">{shown}</a>' if file.is_file() else shown
-
-
-def _breakable(path: str) -> str:
-    """Return a path that may go on in the next line after each of its parts."""
-    return re.sub("([/_])", r"\1<wbr>", escaped(path))
 
 
 def _small(picture: Path) -> bytes:

@@ -1,7 +1,7 @@
 """Processes that work off tasks: what kills or hangs one of them, or takes its memory, fails the task that it is at.
 
-A ProcessPoolExecutor loses every task with one killed process. Here a process that ends is replaced, from a fork server
-that has imported everything before: that takes milliseconds.
+A ProcessPoolExecutor loses every task with one killed process. Here a thread sees to each process, and one that ends is
+replaced, from a fork server that has imported everything before: that takes milliseconds.
 """
 
 import ctypes
@@ -13,12 +13,12 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
+from math import inf
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
@@ -39,7 +39,7 @@ _SAID = 65_536  # bytes that are kept of what a process says before it dies
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 _MEGABYTE = 2**20  # bytes
 _PATHS = "PYTHONSAFEPATH", "PYTHONPATH"  # of the environment: where a Python looks for modules
-_STARTING = threading.Lock()  # held while a fork server is started in another environment
+_ALONE = threading.Lock()  # held while processes begin, and how one ended is read: that is no matter for two threads
 
 
 class Lost(CheckFailed):
@@ -54,43 +54,55 @@ class Lost(CheckFailed):
 
 
 @dataclass(kw_only=True)
-class _Task:
-    future: Future[Any]
-    content: bytes
-
-
-@dataclass(kw_only=True)
 class _Worker:
-    """A process, its task, and whether it has taken it; it is left alone until `deadline`, then ended."""
+    """A process, which takes tasks and answers, and what it has said on stderr."""
 
     process: ForkServerProcess
     tasks: Connection
     errors: Connection
-    ready: bool = False
-    task: _Task | None = None
-    taken: bool = False
-    begun: float = 0.0
-    deadline: float | None = None
-    reason: str = ""
     said: bytearray = field(default_factory=bytearray)
 
+    def message(self, limit: float | None, *ends: Connection) -> bytes:
+        """Return what the process sends within so many seconds, else a TimeoutError.
 
-@contextmanager
-def _this_package() -> Iterator[dict[str, str | None]]:
-    """Let a Python that is started find this package, and no other that the working directory may have.
+        An EOFError says that it has ended, or that one of `ends` has.
+        """
+        until = inf if limit is None else time.monotonic() + limit
+        watched: list[Any] = [self.tasks, self.errors, self.process.sentinel, *ends]
+        while (left := until - time.monotonic()) > 0:
+            ready = wait(watched, min(left, _LONGEST_WAIT))
+            self._hear()
+            if self.tasks in ready:
+                try:
+                    return self.tasks.recv_bytes()
+                except (EOFError, OSError):  # it is dying: seen from its sentinel
+                    watched.remove(self.tasks)
+            if not {self.process.sentinel, *ends}.isdisjoint(ready):
+                raise EOFError
+        raise TimeoutError
 
-    Yielded is what its environment was.
+    def end(self) -> int:
+        """Tell the process to end, kill it if it does not, and return its exit code."""
+        if not wait([self.process.sentinel], 0):
+            self.process.terminate()  # it removes what it has half-written
+        with suppress(EOFError, TimeoutError):
+            while True:
+                self.message(_GRACE)
+        with _ALONE:
+            if self.process.exitcode is None:
+                self.process.kill()
+            self.process.join()
+        self._hear()
+        for connection in (self.tasks, self.errors):
+            connection.close()
+        return self.process.exitcode or 0
 
-    A fork server looks for what it imports beforehand in its own path, and not in that of its owner.
-    """
-    with _STARTING:
-        before = {name: os.environ.get(name) for name in _PATHS}
-        path = [str(Path(__file__).parents[2]), *filter(None, [before["PYTHONPATH"]])]
-        os.environ.update({"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path)})
-        try:
-            yield before
-        finally:
-            _restore(before)
+    def _hear(self) -> None:
+        """Take what the process says on stderr, or it would wait for ever to be heard."""
+        with suppress(OSError):
+            while said := os.read(self.errors.fileno(), _SAID):
+                self.said += said
+                del self.said[:-_SAID]
 
 
 def _restore(environment: Mapping[str, str | None]) -> None:
@@ -122,46 +134,38 @@ class Pool(Executor):
         memory: float | None = None,
         preload: Sequence[str] = (),
     ) -> None:
-        self._jobs, self._timeout, self._memory = jobs, timeout, memory
+        self._timeout, self._memory, self._preload = timeout, memory, tuple(preload)
         self._context = multiprocessing.get_context("forkserver")
-        self._preload = tuple(preload)
         self._context.set_forkserver_preload(["pwatrack.batch.fork_server", *preload])
+        # what is started there is not for Ctrl-C to end; that a process is gone is no end of this one
+        not_ours = signal.SIG_BLOCK, {signal.SIGINT, signal.SIGPIPE}
+        self._threads = ThreadPoolExecutor(jobs, initializer=signal.pthread_sigmask, initargs=not_ours)
         self._lock = threading.Lock()
-        self._waiting: deque[_Task] = deque()
-        self._workers: list[_Worker] = []
-        self._closing = self._killing = False
-        self._woken, self._wake = self._context.Pipe(duplex=False)
-        self._dispatcher: threading.Thread | None = None
+        self._idle: list[_Worker] = []
+        self._killed, self._kill = self._context.Pipe(duplex=False)  # closed where nothing is to go on
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Return the future of a call, which some process will make."""
-        task = _Task(future=Future(), content=bytes(ForkingPickler.dumps((fn, args, kwargs))))
-        with uninterrupted(), self._lock:
-            if self._closing:
-                raise RuntimeError("the pool is closed")
-            self._waiting.append(task)
-            if self._dispatcher is None:
-                self._dispatcher = threading.Thread(target=self._dispatch, daemon=True)
-                self._dispatcher.start()
-            self._wake.send_bytes(b"!")
-        return task.future
+        content = bytes(ForkingPickler.dumps((fn, args, kwargs)))
+        with uninterrupted():
+            return self._threads.submit(self._call, content)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more tasks, end those that are there or cancel those that have not begun, and end the processes."""
-        with uninterrupted(), self._lock:
-            self._closing = True
-            if cancel_futures:
-                for task in self._waiting:
-                    task.future.cancel()
-            self._wake.send_bytes(b"!")
-        if wait and self._dispatcher is not None:
-            self._dispatcher.join()
+        with uninterrupted():
+            self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
+        self._threads.shutdown(wait=wait)
+        with self._lock:
+            idle, self._idle = self._idle, []
+        for worker in idle:
+            worker.process.terminate()
+        for worker in idle:
+            worker.end()
 
     def kill_workers(self) -> None:
         """Cancel what has not begun, and end all processes: what they are at is lost."""
-        with self._lock:
-            self._killing = True
-        self.shutdown(wait=bool(self._workers), cancel_futures=True)  # the first, if it comes yet, ends as it begins
+        self._kill.close()
+        self.shutdown(cancel_futures=True)
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
@@ -169,157 +173,62 @@ class Pool(Executor):
         else:
             self.kill_workers()
 
-    def _dispatch(self) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # what is started here is not for Ctrl-C to end
-        try:
-            while self._assigned():
-                self._look()
-        except BaseException as error:  # whoever waits for a future has to learn of it
-            for task in [*self._waiting, *(w.task for w in self._workers if w.task)]:
-                if not task.future.done():
-                    task.future.set_exception(error)
-            raise
-        finally:
-            with self._lock:
-                self._closing = True
-            for worker in self._workers:
-                worker.tasks.close()  # it ends, having nothing to do
-            for worker in self._workers:
-                worker.process.join(_GRACE)
-                if worker.process.exitcode is None:
-                    worker.process.kill()
-                self._bury(worker)
-
-    def _assigned(self) -> bool:
-        """Give tasks to processes that have none; return whether there is anything left to wait for."""
-        while True:
-            free = next((w for w in self._workers if not w.task and not w.reason), None)
-            if free is None and len(self._workers) >= self._jobs:
-                break
-            with self._lock:
-                task = self._waiting.popleft() if self._waiting else None
-            if task is None:
-                break
-            if not task.future.running() and not task.future.set_running_or_notify_cancel():
-                continue
-            if free is None:
-                free = self._start()
-                self._workers.append(free)
-            free.task, free.taken = task, False
-            self._begin(free)
-            with suppress(OSError):  # it died meanwhile: seen from its sentinel
-                free.tasks.send_bytes(task.content)
+    def _call(self, content: bytes) -> Any:
+        """Let a process make a call: return its answer, or raise what that raised, or `Lost`."""
         with self._lock:
-            return not self._closing or bool(self._waiting) or any(w.task or w.reason for w in self._workers)
-
-    def _begin(self, worker: _Worker) -> None:
-        """Let the time of a task begin, if its process is there to do it."""
-        worker.begun = time.monotonic()
-        start = 0.0 if worker.ready else _START
-        worker.deadline = None if self._timeout is None else worker.begun + start + self._timeout
+            idle = self._idle.pop() if self._idle else None
+        worker, taken, reason = idle or self._start(), False, ""
+        begun = time.monotonic()
+        try:
+            with suppress(OSError):  # it died meanwhile
+                worker.tasks.send_bytes(content)
+            worker.message(None if self._timeout is None else self._timeout + _START * (idle is None), self._killed)
+            begun, taken = time.monotonic(), True
+            message = worker.message(self._timeout, self._killed)
+        except TimeoutError:
+            reason = f"given up after {self._timeout:g} s"
+        except EOFError:
+            reason = "interrupted" * self._kill.closed
+        else:
+            worker.said.clear()
+            with self._lock:
+                self._idle.append(worker)
+            answer, fine = ForkingPickler.loads(message)
+            if fine:
+                return answer
+            if isinstance(answer, MemoryError):
+                raise Lost(str(answer), seconds=time.monotonic() - begun)
+            raise answer
+        code = worker.end()
+        if idle and not taken and not reason:  # it died of something else
+            return self._call(content)
+        killer = -code if code < 0 and not reason else 0
+        reason = reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
+        said = worker.said.decode("utf-8", "replace").strip()
+        raise Lost(reason, killer=killer, said=said, seconds=time.monotonic() - begun)
 
     def _start(self) -> _Worker:
-        with _this_package() as own:
-            forkserver.ensure_running()
+        """Begin a process of this package, and of no other that the working directory may have.
+
+        A fork server looks for what it imports beforehand in its own path, and not in that of its owner.
+        """
         ours, theirs = self._context.Pipe()
         errors, said = self._context.Pipe(duplex=False)
-        args = theirs, said, self._memory, self._preload, own
-        process = self._context.Process(target=serve, args=args, daemon=True)
-        process.start()
+        with _ALONE:
+            own = {name: os.environ.get(name) for name in _PATHS}
+            path = [str(Path(__file__).parents[2]), *filter(None, [own["PYTHONPATH"]])]
+            os.environ.update({"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path)})
+            try:
+                forkserver.ensure_running()
+            finally:
+                _restore(own)
+            args = theirs, said, self._memory, self._preload, own
+            process = self._context.Process(target=serve, args=args, daemon=True)
+            process.start()
         theirs.close()
         said.close()
         os.set_blocking(errors.fileno(), False)
         return _Worker(process=process, tasks=ours, errors=errors)
-
-    def _look(self) -> None:
-        """Wait until something happens, and see to it."""
-        if self._killing:
-            for worker in self._workers:
-                if worker.task and not worker.reason:
-                    self._tell(worker, "interrupted")
-        deadlines = [w.deadline for w in self._workers if w.deadline is not None]
-        watched = [c for w in self._workers for c in (w.tasks, w.errors, w.process.sentinel)]
-        limit = min(max(0.0, min(deadlines) - time.monotonic()), _LONGEST_WAIT) if deadlines else None
-        ready = wait([self._woken, *watched], limit)
-        while self._woken.poll():
-            self._woken.recv_bytes()
-        for worker in list(self._workers):
-            _hear(worker)
-            if worker.tasks in ready:
-                self._answered(worker)
-            if worker.process.sentinel in ready:
-                self._ended(worker)
-            elif worker.deadline is not None and worker.deadline <= time.monotonic():
-                self._tell(worker, worker.reason or f"given up after {self._timeout:g} s")
-
-    def _tell(self, worker: _Worker, reason: str) -> None:
-        """Tell a process to end; kill it if it was told before."""
-        if worker.reason:
-            worker.process.kill()
-            worker.deadline = None
-        else:
-            worker.process.terminate()  # it removes what it has half-written
-            worker.reason, worker.deadline = reason, time.monotonic() + _GRACE
-
-    def _answered(self, worker: _Worker) -> bool:
-        """Take what a process sends: that it is there, has taken its task, or its answer; say whether there was any."""
-        try:
-            message = ForkingPickler.loads(worker.tasks.recv_bytes())
-        except (EOFError, OSError):  # it is dying: seen from its sentinel
-            return False
-        if message is None:
-            worker.taken, worker.ready = worker.ready, True
-        if worker.reason or worker.task is None:  # too late
-            return True
-        if message is None:
-            self._begin(worker)
-            return True
-        answer, fine = message
-        task, worker.task = worker.task, None
-        worker.deadline = None
-        worker.said.clear()
-        if fine:
-            task.future.set_result(answer)
-        elif isinstance(answer, MemoryError):
-            worker.reason = str(answer)  # it is replaced: who knows what it still holds
-            worker.process.kill()
-            task.future.set_exception(Lost(str(answer), seconds=time.monotonic() - worker.begun))
-        else:
-            task.future.set_exception(answer)
-        return True
-
-    def _ended(self, worker: _Worker) -> None:
-        if not worker.reason:
-            with suppress(OSError):
-                while worker.task and worker.tasks.poll() and self._answered(worker):
-                    pass  # its last answer came just before
-        self._bury(worker)
-        with self._lock:
-            self._workers.remove(worker)
-        if worker.task and worker.ready and not worker.taken and not worker.reason:  # it died of something else
-            with self._lock:
-                self._waiting.appendleft(worker.task)
-        elif worker.task:
-            code = worker.process.exitcode or 0
-            killer = -code if code < 0 and not worker.reason else 0
-            reason = worker.reason or (f"killed by signal {killer}" if killer else f"ended by itself with {code}")
-            said = worker.said.decode("utf-8", "replace").strip()
-            seconds = time.monotonic() - worker.begun
-            worker.task.future.set_exception(Lost(reason, killer=killer, said=said, seconds=seconds))
-
-    def _bury(self, worker: _Worker) -> None:
-        worker.process.join()
-        _hear(worker)
-        for connection in (worker.tasks, worker.errors):
-            connection.close()
-
-
-def _hear(worker: _Worker) -> None:
-    """Take what a process says on stderr, or it would wait for ever to be heard."""
-    with suppress(BlockingIOError, OSError):
-        while said := os.read(worker.errors.fileno(), _SAID):
-            worker.said += said
-            del worker.said[:-_SAID]
 
 
 def serve(
@@ -331,11 +240,9 @@ def serve(
 ) -> None:
     """Work off tasks: (function, arguments, named arguments) come, and (answer, whether it is one) go.
 
-    A None goes at first, and as a task is taken.
-
-    All that the process says on stderr goes to `errors`. A task may take so many megabytes beyond the program itself.
-    The modules of `preload` are there before the first task, also if the fork server was begun for another pool; what
-    it was begun in is not what its processes have: `environment` is put back.
+    As a task is taken, that is said. All that the process says on stderr goes to `errors`. A task may take so many
+    megabytes beyond the program itself. The modules of `preload` are there before the first task, also if the fork
+    server was begun for another pool; what it was begun in is not what its processes have: `environment` is put back.
     """
     _follow_parent()
     _restore(environment)
@@ -350,13 +257,10 @@ def serve(
     for name in preload:
         with suppress(ImportError):  # a task that needs it says so
             import_module(name)
-    here = ForkingPickler.dumps(None)
-    with suppress(OSError):
-        tasks.send_bytes(here)  # from now on time counts
     while True:
         try:
             content = tasks.recv_bytes()
-            tasks.send_bytes(here)
+            tasks.send_bytes(b"taken")  # from now on time counts
         except (EOFError, OSError):
             return
         answer = _done(content, memory)
@@ -367,6 +271,8 @@ def serve(
             message = ForkingPickler.dumps((RuntimeError(f"{answer[0]!r}: {error}"), False))
         with suppress(OSError):  # nobody waits for it any more
             tasks.send_bytes(message)
+        if isinstance(answer[0], MemoryError):  # it is replaced: who knows what it still holds
+            return
 
 
 def _done(content: bytes, memory: float | None) -> tuple[Any, bool]:

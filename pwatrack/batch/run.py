@@ -33,16 +33,6 @@ class Options:
     again: Literal["all", "failed", "changed"] = "all"  # those run before: all, that failed, that have changed
 
 
-class Watcher:
-    """Whoever wants to know how a batch goes on; this one does not."""
-
-    def begins(self, total: int) -> None:
-        """Learn how many specs there are."""
-
-    def ended(self, outcome: SpecOutcome) -> None:
-        """Learn how one of them ended."""
-
-
 def run_batch(
     paths: Path | Sequence[Path],
     out: Path,
@@ -51,33 +41,26 @@ def run_batch(
     work: Work = simulate,
     preload: Sequence[str] = PRELOAD,
     executor: Executor | None = None,
-    watcher: Watcher | None = None,
+    told: Callable[[SpecOutcome], object] = lambda _: None,
 ) -> list[SpecOutcome]:
     """Design and simulate every spec among files and below folders; return an outcome for each, in their order.
 
     Each spec gets a run folder in `out`, under its own path. `work` is a function of a module, which other processes
     call by its name, after they have imported `preload`; or an executor does it, on whatever machine: files go along
-    and come back. The watcher is told of every spec as it ends. Raises InvalidSpec if there is no spec.
+    and come back. `told` learns of every spec as it ends. Raises InvalidSpec if there is no spec.
     """
-    options, watcher = options or Options(), watcher or Watcher()
+    options = options or Options()
     places = find_specs([paths] if isinstance(paths, Path) else paths, options.pattern)
     jobs = [
         Job(spec=spec, out=out / place, parameters=options.parameters, plots=options.plots, outside=options.outside)
         for spec, place in places.items()
     ]
-    watcher.begins(len(jobs))
-    outcomes = dict[Path, SpecOutcome]()
-    for outcome in _all(jobs, out, options, work, preload, executor):
+    outcomes, rest = dict[Path, SpecOutcome](), list[Job]()
+
+    def ended(outcome: SpecOutcome) -> None:
         outcomes[outcome.spec] = outcome
-        watcher.ended(outcome)
-    return [outcomes[job.spec] for job in jobs]
+        told(outcome)
 
-
-def _all(
-    jobs: Sequence[Job], out: Path, options: Options, work: Work, preload: Sequence[str], executor: Executor | None
-) -> Iterator[SpecOutcome]:
-    """Yield the outcomes of jobs, first of those that need not be run again."""
-    rest = list[Job]()
     for job in jobs:
         sweep(job.out)
         start = time.perf_counter()
@@ -87,12 +70,15 @@ def _all(
         if outcome is None or (outcome.failed and options.again == "failed"):
             rest.append(job)
         else:
-            yield outcome
+            ended(outcome)
     if executor is not None:
-        yield from _worked_off(rest, out, partial(send, executor, work), options)
+        for outcome in _worked_off(rest, out, partial(send, executor, work), options):
+            ended(outcome)
     elif rest:
         with Pool(options.jobs, timeout=options.timeout, memory=options.memory, preload=preload) as pool:
-            yield from _worked_off(rest, out, partial(pool.submit, done, work), options)
+            for outcome in _worked_off(rest, out, partial(pool.submit, done, work), options):
+                ended(outcome)
+    return [outcomes[job.spec] for job in jobs]
 
 
 def _worked_off(

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import groupby, product
 from math import prod
 from pathlib import Path
 from typing import Any, Literal
@@ -72,11 +72,11 @@ def places(axes: Sequence[Axis], method: Method = "grid", count: int = 100, seed
     names = [one.name for one in axes]
     if len(set(names)) < len(names):
         raise InvalidSpec(f"--sweep: {', '.join(names)}: each parameter once")
-    total = prod(one.points for one in axes) if method == "grid" else count
+    total = prod(len(one.values) for one in axes) if method == "grid" else count
     if total > MOST:
         raise InvalidSpec(f"--sweep: {total:,} points, at most {MOST:,} are looked at")
     if method == "grid":
-        return [dict(zip(names, row, strict=True)) for row in product(*(one.grid for one in axes))]
+        return [dict(zip(names, row, strict=True)) for row in product(*(map(float, one.values) for one in axes))]
     import numpy as np
     from scipy.stats import qmc
 
@@ -162,9 +162,7 @@ def sweep(
     if refine is None:
         return points, []
     found = [
-        executor.submit(
-            with_files, files, bisect, spec, set_, one, other, axis.name, refine * float(axis.high - axis.low)
-        )
+        executor.submit(with_files, files, bisect, spec, set_, one, other, axis.name, refine * axis.width)
         for one, other, axis in neighbours(points, axes)
         if one.proof != other.proof and one.known and other.known
     ]
@@ -176,9 +174,9 @@ def neighbours(points: Sequence[Point], axes: Sequence[Axis]) -> Iterator[tuple[
     step = 1
     for one in reversed(axes):
         for k, point in enumerate(points):
-            if k // step % one.points < one.points - 1:
+            if k // step % len(one.values) < len(one.values) - 1:
                 yield point, points[k + step], one
-        step *= one.points
+        step *= len(one.values)
 
 
 def _ended(futures: Sequence[Future[Any]], progress: Callable[[int, int], object]) -> Sequence[Future[Any]]:
@@ -205,15 +203,12 @@ def told_of(points: Sequence[Point], edges: Sequence[Edge]) -> Iterator[str]:
     """
     names, found = list(points[0].values), [point for point in points if point.proved]
     for name in names if len(names) == 1 and found else ():
-        runs = list[list[Point]]()
-        for point in sorted(points, key=lambda point: point.values[name]):
-            if not point.proved or not runs or runs[-1][-1].proof != point.proof:
-                runs.append([])
-            runs[-1].append(point)
-        for run in (run for run in runs if run[0].proved):
-            low, high = (f"{run[k].values[name]:.6g}" for k in (0, -1))
+        for proof, run in groupby(sorted(points, key=lambda point: point.values[name]), lambda point: point.proof):
+            values = [point.values[name] for point in run]
+            low, high = (f"{values[k]:.6g}" for k in (0, -1))
             where = f"{name} = {low}" + f" to {high}" * (low != high)
-            yield f"{run[0].proof} at {len(run):,} of {len(points):,} values: {where}"
+            if proof != NONE:
+                yield f"{proof} at {len(values):,} of {len(points):,} values: {where}"
     for edge in edges if len(names) == 1 else ():
         yield f"{edge.inside.proof} at {_at(edge.inside)}, {edge.beyond.verdict} at {_at(edge.beyond)}"
     good = [point for point in found if point.exit == ExitCode.DONE]

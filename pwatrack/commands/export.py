@@ -293,10 +293,6 @@ def export_fmu(
             hint = "--of controller exports the controller by itself; a spec exports its plant"
             raise InvalidSpec(message, hint=hint)
         made["plant"] = plant_model(spec, prefix(task.name or spec.name))
-    return _write_fmus(made, versions, out)
-
-
-def _write_fmus(made: Mapping[str, Model], versions: Sequence[Version], out: Path) -> list[str]:
     compiler = c_compiler()
     inside = "sources and a Linux binary" if compiler else "sources only: no C compiler for Linux on x86-64 was found"
     try:

@@ -31,7 +31,7 @@ from pwatrack.spec.load import assignments, load_spec
 from pwatrack.spec.spec import Spec
 from pwatrack.spec.spelling import path_of
 from pwatrack.workflow import pipeline
-from pwatrack.workflow.how_far import HowFar, LargestBox, how_far, largest_box
+from pwatrack.workflow.how_far import LargestBox, how_far, largest_box
 from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.variation import EnsembleResult, ensemble
 
@@ -203,7 +203,11 @@ class _Made:
                 refusal.add_note(f"  {unstable if sampled else broken}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit
-            far = self._how_far(refusal) if shown != "nothing" or not expected else None
+            far, impossible = None, refusal.evidence
+            if spec is not None and isinstance(impossible, Impossibility) and (shown != "nothing" or not expected):
+                with self.step("how far"), asking(spec.objectives.solver), suppress(PwatrackError):
+                    said = "Looking how far away it is: "
+                    far = how_far(spec, impossible, lambda what: self.status.update(said + what))
             for text in () if far is None else how_far_texts(far):
                 refusal.add_note(f"  how far: {text}")
             if files.write_refusal(
@@ -212,15 +216,6 @@ class _Made:
                 refusal.add_note(f"  proof: {folder / REFUSAL!s}; 'pwatrack verify' checks it")
         except InvalidSpec as unwritable:
             refusal.add_note(f"  {unwritable}")
-
-    def _how_far(self, refusal: PwatrackError) -> HowFar | None:
-        """Return how far away an inequality is that is proved to have no solution, where that can be looked for."""
-        if self.spec is None or not isinstance(refusal.evidence, Impossibility):
-            return None
-        with self.step("how far"), asking(self.spec.objectives.solver), suppress(PwatrackError):
-            said = "Looking how far away it is: "
-            return how_far(self.spec, refusal.evidence, lambda what: self.status.update(said + what))
-        return None
 
 
 def _scaled(spec: Spec, controller: ProvedController) -> LargestBox:

@@ -61,8 +61,17 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     said, faults = audit(text)
     if not faults:
         content, folder = parsed(text), file.parent
-        faults += _misnamed(content, file)
-        _tell_failed(file, said, faults)
+        told = (_json(folder / CONTROLLER) or {}).get("failed", []) if file.name == CERTIFICATE else []
+        if content["claim"] != STATEMENT:
+            faults.append("'claim' is not what a certificate of this format proves")
+        elif file.name in (REFUSAL, CERTIFICATE) and refuses(content) != (file.name == REFUSAL):
+            faults.append(
+                f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"
+            )
+        if isinstance(told, list) and all(isinstance(line, str) and line.isprintable() for line in told):
+            said += [f"its run failed: {line}" for line in told]  # what a run or an export says beside it
+        else:
+            faults.append(f"'failed' in {CONTROLLER} is no list of texts on one line")
     if not faults:
         said.append("every number was read as it is written; the proofs use fractions only")
         named, other = (spec, "") if spec else spec_of(_json(folder / INDEX) or {}, folder, content["spec_sha256"])
@@ -135,24 +144,6 @@ def certificate_text(path: Path) -> tuple[Path, str]:
             raise lacking(path, CERTIFICATE)
         path = found
     return path, _read(path)
-
-
-def _tell_failed(file: Path, said: list[str], faults: list[str]) -> None:
-    """Add what a controller beside a certificate, in a run or an export, says that its run did not achieve."""
-    told = (_json(file.parent / CONTROLLER) or {}).get("failed", []) if file.name == CERTIFICATE else []
-    if isinstance(told, list) and all(isinstance(line, str) and line.isprintable() for line in told):
-        said += [f"its run failed: {line}" for line in told]
-    else:
-        faults.append(f"'failed' in {CONTROLLER} is no list of texts on one line")
-
-
-def _misnamed(content: dict[str, Any], file: Path) -> list[str]:
-    """Return what keeps a file from being the certificate or the refusal of a run."""
-    if content["claim"] != STATEMENT:
-        return ["'claim' is not what a certificate of this format proves"]
-    if file.name in (REFUSAL, CERTIFICATE) and refuses(content) != (file.name == REFUSAL):
-        return [f"{REFUSAL} proves that there is no design, {CERTIFICATE} that there is one: this is the other"]
-    return []
 
 
 def _against_spec(content: dict[str, Any], spec: Spec) -> Iterator[str]:

@@ -21,34 +21,28 @@ _POINTS = 11  # of an axis that says no number: ten steps
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """A parameter that varies from `low` to `high`, at points of a grid, or through `values` if there are any."""
+    """A parameter that varies over a range, at its values on a grid, or has no other values than these."""
 
     name: str
-    low: Fraction
-    high: Fraction
-    points: int = _POINTS
-    values: tuple[Fraction, ...] = ()
+    values: tuple[Fraction, ...]  # in increasing order
+    between: bool = False  # whether all in between may be taken, too
 
     @staticmethod
-    def through(name: str, values: tuple[Fraction, ...]) -> "Axis":
-        """Return a parameter that has these values, in increasing order."""
-        return Axis(name=name, low=values[0], high=values[-1], points=len(values), values=values)
+    def over(name: str, low: Fraction, high: Fraction, points: int = _POINTS) -> "Axis":
+        """Return a parameter that varies over a range, with points of a grid."""
+        values = (low + (high - low) * Fraction(k, points - 1) for k in range(points))
+        return Axis(name=name, values=tuple(values), between=True)
 
     @property
-    def grid(self) -> tuple[float, ...]:
-        """The values on a grid."""
-        if self.values:
-            return tuple(map(float, self.values))
-        return tuple(self._between(Fraction(k, self.points - 1)) for k in range(self.points))
+    def width(self) -> float:
+        """How far its values are apart."""
+        return float(self.values[-1] - self.values[0])
 
     def at(self, share: float) -> float:
         """Return the value at a share of the way, 0 to 1; of given values, the one that has this share of them."""
-        if self.values:
-            return float(self.values[min(int(share * self.points), self.points - 1)])
-        return self._between(Fraction(share))
-
-    def _between(self, share: Fraction) -> float:
-        return float(self.low + (self.high - self.low) * share)
+        if self.between:
+            return float(self.values[0] + (self.values[-1] - self.values[0]) * Fraction(share))
+        return float(self.values[min(int(share * len(self.values)), len(self.values) - 1)])
 
 
 def axis(text: str) -> Axis:
@@ -63,7 +57,7 @@ def axis(text: str) -> Axis:
     points = int(found[4] or _POINTS)
     if not low < high or points < 2:
         raise InvalidSpec(f"--sweep {text}: LOW is to be below HIGH, with at least two points")
-    return Axis(name=found[1], low=low, high=high, points=points)
+    return Axis.over(found[1], low, high, points)
 
 
 class RangeSection(Section):
@@ -98,8 +92,8 @@ SweepSection = dict[
 def axes_of(section: Mapping[str, RangeSection | list[Real]]) -> list[Axis]:
     """Return the parameters that a file says vary."""
     return [
-        Axis.through(name, tuple(value.centre for value in entry))
+        Axis(name=name, values=tuple(value.centre for value in entry))
         if isinstance(entry, list)
-        else Axis(name=name, low=entry.start.centre, high=entry.to.centre, points=entry.points)
+        else Axis.over(name, entry.start.centre, entry.to.centre, entry.points)
         for name, entry in section.items()
     ]

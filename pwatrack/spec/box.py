@@ -262,10 +262,8 @@ def corners(parametric: ParametricPlant, nominal: PWASystem, box: Box) -> tuple[
     Raises as `check_box`, and OutsideTheory where the plants at the corners jump at facets by rounding.
     """
     check_box(parametric, box)
-    found = []
-    for ends in product(*((interval.low, interval.high) for interval in box)):
-        plant, _ = parametric.at({i.name: end for i, end in zip(box, ends, strict=True)}, SUBJECT)
-        found.append(plant)
+    places = product(*([(i.name, i.low), (i.name, i.high)] for i in box))
+    found = [parametric.at(dict(place), SUBJECT)[0] for place in places]
     if nominal.repair is not None or any(plant.repair is not None for plant in found):
         message = "the data of the plant jump at facets by rounding: for uncertain parameters they must be continuous"
         raise OutsideTheory(message, subject=SUBJECT, hint="write b as an expression that closes it")

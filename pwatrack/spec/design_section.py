@@ -82,8 +82,11 @@ class ControllerSection(GoalSection):
 
     cost: Annotated[CostSection, weighs("states", "inputs")] | None = None
     K: Annotated[Rows, shaped("inputs", "states")] | None = None
-    within: Literal["limits", "region"] | None = None
-    """That no limit is reached from errors within sizes or where members start, or does no harm from most of these."""
+    within: Literal["limits", "region"] | None = Field(
+        None,
+        description="That no limit is reached from errors within sizes or where members start, or does no harm "
+        "from most of these.",
+    )
 
 
 class ObserverSection(GoalSection):
@@ -115,8 +118,9 @@ class DesignSection(Section):
     observer: ObserverSection = ObserverSection()
     estimate: Estimate | None = None
     solver: Solver = "structured"
-    uncertain: Annotated[dict[Name, ShareOrInterval], named("parameter", "parameters")] = {}
-    """Parameters that are known to lie in an interval, or within a share of their value."""
+    uncertain: Annotated[dict[Name, ShareOrInterval], named("parameter", "parameters")] = Field(
+        {}, description="Parameters that are known to lie in an interval, or within a share of their value."
+    )
 
     def rules(self, context: Context) -> Iterator[Fault]:
         """Yield loads that do nothing, and intervals that are none about the value of the design."""

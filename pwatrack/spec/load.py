@@ -123,7 +123,7 @@ def _spec_of(
     parametric = ParametricPlant.of(document.data, overrides, file, context)
     try:
         plant = plant or build_plant(file.system, file.tolerance.continuity)
-        plant = replace(plant, loads=build_loads(file.design.estimate, plant))
+        plant = replace(plant, loads=build_loads(file.design.estimate, file.system))
         reference = build_reference(file.reference, plant.tracked_names, folder, file.simulation.duration)
         conditions = build_conditions(file.simulation, plant, parametric, folder, file.reference.outside)
         check_cells(file.require, plant.cell_names)

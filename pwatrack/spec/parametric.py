@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pwatrack.arrays import number_text
-from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject
+from pwatrack.errors import InvalidSpec, Problem, PwatrackError, Subject, listed
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
@@ -23,7 +23,7 @@ from pwatrack.spec.expression import (
 )
 from pwatrack.spec.plant_section import SystemSection, build_plant
 from pwatrack.spec.schema import PlantFile, validation_problems
-from pwatrack.spec.section import MOST, Context, Section, listed
+from pwatrack.spec.section import MOST, Context, Section
 
 Value = str | float | Expression | Real
 
@@ -124,7 +124,7 @@ def evaluated(
     outside = overrides if outside is None else outside
     values: dict[str, Real | None] = {}
     texts = dict(section) if isinstance(section, dict) else {}
-    declared = f"is set but not declared; declared: {listed(texts, MOST)}"
+    declared = f"is set but not declared; declared: {listed(list(texts), MOST) or 'none'}"
     unknown = [name for name in overrides if name not in texts]
     problems = [Problem(message=f"parameter '{name}' {declared}", subject=None) for name in unknown]
     for name, text in texts.items():

@@ -71,9 +71,19 @@ class ElementSection(Section):
     of: Form
     into: Annotated[dict[str, Exact], Field(min_length=1)]
 
+    def function(self) -> PiecewiseLinear:
+        """Return φ; a ValueError if its numbers make none."""
+        raise NotImplementedError
+
     def element(self, states: Sequence[str]) -> Nonlinearity | Contact:
         """Return what it adds; a ValueError if its numbers make nothing."""
-        raise NotImplementedError
+        return Nonlinearity(
+            name=self.name,
+            function=self.function(),
+            row=self.of.coefficients,
+            constant=self.of.offset,
+            direction=self.direction(states),
+        )
 
     def direction(self, states: Sequence[str]) -> list[Real]:
         """Return the factor of each state, (n,)."""
@@ -89,24 +99,7 @@ class ElementSection(Section):
             yield Fault(f"nonlinearity '{self.name}': {shown(state)} is no state{meant}", ("into",), key=(state,))
 
 
-class ScalarSection(ElementSection):
-    """One with a function of s alone."""
-
-    def function(self) -> PiecewiseLinear:
-        """Return φ; a ValueError if its numbers make none."""
-        raise NotImplementedError
-
-    def element(self, states: Sequence[str]) -> Nonlinearity:
-        return Nonlinearity(
-            name=self.name,
-            function=self.function(),
-            row=self.of.coefficients,
-            constant=self.of.offset,
-            direction=self.direction(states),
-        )
-
-
-class DeadZoneSection(ScalarSection):
+class DeadZoneSection(ElementSection):
     """φ = 0 in [lower, upper], lines outside; a pair of elastic stops is the same."""
 
     model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
@@ -124,7 +117,7 @@ class DeadZoneSection(ScalarSection):
         return dead_zone(lower=self.lower, upper=self.upper, lower_slope=left, upper_slope=right)
 
 
-class SaturationSection(ScalarSection):
+class SaturationSection(ElementSection):
     """φ(s) = slope · clip(s, lower, upper)."""
 
     model_config = ConfigDict(json_schema_extra=increasing("lower", "upper"))
@@ -138,7 +131,7 @@ class SaturationSection(ScalarSection):
         return saturation(lower=self.lower, upper=self.upper, slope=self.slope)
 
 
-class SpringSection(ScalarSection):
+class SpringSection(ElementSection):
     """φ(s) = slope · max(0, s − start)."""
 
     kind: Literal["spring"]
@@ -149,7 +142,7 @@ class SpringSection(ScalarSection):
         return spring(start=self.start, slope=self.slope)
 
 
-class AbsoluteSection(ScalarSection):
+class AbsoluteSection(ElementSection):
     """φ(s) = slope · |s|."""
 
     kind: Literal["absolute"]
@@ -159,7 +152,7 @@ class AbsoluteSection(ScalarSection):
         return absolute(slope=self.slope)
 
 
-class PiecewiseLinearSection(ScalarSection):
+class PiecewiseLinearSection(ElementSection):
     """φ with free breakpoints and slopes."""
 
     kind: Literal["piecewise_linear"]
@@ -257,32 +250,23 @@ class SystemSection(Section):
             for name in ("A", "b", "nonlinearities"):
                 if getattr(self, name) is not None:
                     yield Fault(f".{name} does not go with cells: give one or the other", key=(name,))
-            yield from self._wrong_signs(self.cells)
         elif self.A is None:
             yield Fault(".cells, or system.A with nonlinearities, is missing")
         if self.cells is None and self.hyperplanes is not None:
             yield Fault("hyperplanes need cells with signs", ("hyperplanes",))
-        yield from self._not_tracked()
-
-    def _wrong_signs(self, cells: list[CellSection]) -> Iterator[Fault]:
-        """Yield the cells that have not one sign for each hyperplane, or some without hyperplanes."""
-        for k, cell in enumerate(cells):
+        for k, cell in enumerate(self.cells or []):
             at, given, wanted = ("cells", k, "signs"), len(cell.signs or []), len(self.hyperplanes or [])
             if self.hyperplanes is None and cell.signs is not None:
                 yield Fault(f"cell '{cell.name}' has signs but the system has no hyperplanes", at)
             if self.hyperplanes is not None and (cell.where is not None or given != wanted):
                 found = "none" if cell.signs is None else given
                 yield Fault(f"cell '{cell.name}': {found} signs, expected {wanted}, one per hyperplane", at)
-
-    def _not_tracked(self) -> Iterator[Fault]:
-        """Yield what is tracked and no output, or a form with a constant: its desired value is the reference."""
-        if isinstance(self.track, dict):
-            for name, form in self.track.items():
-                if form.offset.centre:
-                    text = "a constant does not belong into what is tracked: put it into the reference"
-                    yield Fault(f"track: {name}: {text}", ("track", name))
-            return
-        for name, meant in unknown_names(self.track or (), self.outputs):
+        forms = self.track if isinstance(self.track, dict) else {}
+        for name, form in forms.items():
+            if form.offset.centre:
+                text = "a constant does not belong into what is tracked: put it into the reference"
+                yield Fault(f"track: {name}: {text}", ("track", name))
+        for name, meant in unknown_names(() if forms else self.track or (), self.outputs):
             yield Fault(f"track: {shown(name)} is no output; outputs: {', '.join(self.outputs)}{meant}", ("track",))
 
     @property
@@ -316,13 +300,18 @@ def build_plant(system: SystemSection, tolerance: float) -> PWASystem:
         partition = _partition(system, system.cells)
         A = [cell.A for cell in system.cells]
         b = [cell.b or [0] * len(system.states) for cell in system.cells]
+    tracked: list[Any] | None = None  # rows of what is to follow a reference: all that is measured
+    if isinstance(system.track, dict):
+        tracked = [form.coefficients for form in system.track.values()]
+    elif system.track is not None:
+        tracked = [system.C[system.outputs.index(name)] for name in system.track]
     plant = PWASystem.create(
         partition=partition,
         A=A,
         b=b,
         B=system.B,
         C=system.C,
-        tracked=_tracked_rows(system),
+        tracked=tracked,
         states=system.states,
         inputs=system.inputs,
         outputs=system.outputs,
@@ -358,15 +347,6 @@ def _oddities(system: SystemSection, section: Element) -> list[str]:
             rate, really = (linear_form_text(row, system.states) for row in (section.rate.row, moves.floats[0]))
             found.append(f"{said} has rate: {rate}, and d/dt of what it looks at is {really or 'not of the states'}")
     return found
-
-
-def _tracked_rows(system: SystemSection) -> list[Any] | None:
-    """Return the rows of what is to follow a reference; None for all that is measured."""
-    if system.track is None:
-        return None
-    if isinstance(system.track, dict):
-        return [form.coefficients for form in system.track.values()]
-    return [system.C[system.outputs.index(name)] for name in system.track]
 
 
 def _refuse_other_B(system: SystemSection) -> None:

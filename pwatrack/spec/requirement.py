@@ -1,8 +1,8 @@
 """What a run may be required to achieve: figures of run.json by name, and their limits, in units that Pint knows."""
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal
 
@@ -96,40 +96,55 @@ def read_requirements(data: Any, info: ValidationInfo[Context]) -> tuple[Require
     """Return what the section `require` asks for; a validator of pydantic."""
     if not isinstance(data, Mapping):
         raise Faults([Fault(": a mapping such as {final_error: 1e-3} is expected")])
-    found, faults = list[Requirement](), list[Fault]()
+    found, faults, share = list[Requirement](), list[Fault](), 1.0
     members = data.get("ensemble")
     if "ensemble" in data and not (isinstance(members, Mapping) and set(members) - {"members"}):
         hint = "for example ensemble: {members: 95%, final_error: 1e-3}"
         faults.append(Fault(": what each member is to achieve is expected", ("ensemble",), hint))
         members = None
-    share = 1.0
-    inner = dict(sorted((members or {}).items(), key=lambda entry: entry[0] != "members"))  # the share comes first
-    for entries, inside in ((data, ()), (inner, ("ensemble",))):
-        for name, value in entries.items():
-            at: Subject = (*inside, name)
+    inner = sorted((members or {}).items(), key=lambda entry: entry[0] != "members")  # the share comes first
+    given = [(("ensemble", name), value) for name, value in inner]
+    for at, value in [((name,), value) for name, value in data.items() if name != "ensemble"] + given:
+        of_each = at[-1] == LIMITS and isinstance(value, Mapping) and value
+        for path, one in (((*at, signal), ends) for signal, ends in value.items()) if of_each else [(at, value)]:
             try:
-                if inside and name == "members":
-                    share = _share(value, info.context)
-                elif name == LIMITS:
-                    found += _ranges(value, info, share if inside else None, at)
-                elif inside or name != "ensemble":
-                    quantity, of = _quantity(name, inside=bool(inside)), share if inside else None
-                    figure = name
-                    if quantity.each is not None and isinstance(value, Mapping):
-                        figure, quantity = quantity.each, QUANTITIES[quantity.each]
-                    found += [
-                        Requirement(figure=figure, signal=signal, limit=limit, share=of, subject=(_HERE, *at))
-                        for signal, limit in _limits(value, quantity, info.context)
-                    ]
+                if path == ("ensemble", "members"):
+                    share = _share(one, info.context)
+                else:
+                    found += _asked(path, one, share if len(at) > 1 else None, info)
             except BrokenParameter:
                 continue  # said where the parameter stands
-            except Faults as several:
-                faults += several.faults
             except ValueError as fault:
-                faults.append(Fault(f": {fault}{fault.guess if isinstance(fault, UnknownName) else ''}", at))
+                faults.append(Fault(f": {fault}{fault.guess if isinstance(fault, UnknownName) else ''}", path))
     if faults:
         raise Faults(faults)
     return tuple(found)
+
+
+def _asked(path: Subject, value: Any, share: float | None, info: ValidationInfo[Context]) -> Iterator[Requirement]:
+    """Yield what is asked of a figure, or of how low and how high an output or state gets."""
+    context, inside = info.context, path[0] == "ensemble"
+    name, *signals = (str(part) for part in path[inside:])
+    about: Any = {"share": share, "subject": (_HERE, *path)}
+    if name != LIMITS:
+        quantity = _quantity(name, inside=inside)
+        if quantity.each is not None and isinstance(value, Mapping):
+            name, quantity = quantity.each, QUANTITIES[quantity.each]
+        for signal, limit in _limits(value, quantity, context):
+            yield Requirement(figure=name, signal=signal, limit=limit, **about)
+        return
+    if not signals:
+        raise ValueError("limits of outputs or states by name are expected, for example {y: [0, 0.4]}")
+    signal, names, unit = signals[0], context.limited, context.units.get(signals[0], "")
+    if signal not in names:
+        of_input = "; limits of inputs stand under simulation: actuator" if signal in context.inputs else ""
+        text = f"{shown(signal)} is no output or state ({', '.join(names)}){of_input or guess(signal, names)}"
+        raise ValueError(text)
+    both = two_limits([_in_unit(end, unit, context) for end in value] if isinstance(value, list) else value, info)
+    finite = {figure: limit for figure, limit in zip(RANGES, both, strict=True) if isfinite(limit)}
+    for figure, limit in finite.items():
+        other = max(finite.values(), key=abs)
+        yield Requirement(figure=figure, signal=signal, limit=limit, other=other, **about)
 
 
 def check_cells(requirements: Sequence[Requirement], cells: Sequence[str]) -> None:
@@ -159,37 +174,6 @@ def _quantity(name: str, *, inside: bool) -> Quantity:
         raise ValueError(f"a member of an ensemble has no such figure of its own: put it under '{_HERE}' itself")
     meant = guess(name, [*known, "members" if inside else "ensemble"])
     raise ValueError(f"no figure has this name{meant or '; there are ' + ', '.join(known)}")
-
-
-def _ranges(value: Any, info: ValidationInfo[Context], share: float | None, at: Subject) -> list[Requirement]:
-    """Return what limits of outputs and states ask of how low and how high each of them gets."""
-    if not isinstance(value, Mapping) or not value:
-        raise ValueError("limits of outputs or states by name are expected, for example {y: [0, 0.4]}")
-    names, found, faults = info.context.limited, list[Requirement](), list[Fault]()
-    for signal, ends in value.items():
-        here = (*at, signal)
-        if signal not in names:
-            of_input = "; limits of inputs stand under simulation: actuator" if signal in info.context.inputs else ""
-            text = f"{shown(signal)} is no output or state ({', '.join(names)}){of_input or guess(signal, names)}"
-            faults.append(Fault(f": {text}", here))
-            continue
-        try:
-            unit = info.context.units.get(signal, "")
-            both = two_limits(
-                [_in_unit(end, unit, info.context) for end in ends] if isinstance(ends, list) else ends, info
-            )
-        except BrokenParameter:
-            continue
-        except ValueError as fault:
-            faults.append(Fault(f": {fault}", here))
-            continue
-        finite = [limit for limit in both if isfinite(limit)]
-        for figure, limit in zip(RANGES, both, strict=True):
-            asked = Requirement(figure=figure, signal=signal, limit=limit, share=share, subject=(_HERE, *here))
-            found += [replace(asked, other=max(finite, key=abs))] if isfinite(limit) else []
-    if faults:
-        raise Faults(faults)
-    return found
 
 
 def _limits(value: Any, quantity: Quantity, context: Context) -> list[tuple[str | None, float]]:

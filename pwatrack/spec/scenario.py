@@ -1,15 +1,14 @@
 """Checked sections -> courses, reference, objectives and scenario; what none can be built from is refused."""
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 import scipy
 
 from pwatrack.arrays import Array, readonly
-from pwatrack.ball_matrix import BallMatrix
 from pwatrack.control.goal import AtLeast, Fastest, Given, Goal, LeastCost, Smallest
 from pwatrack.errors import InvalidSpec, Problem, Subject
 from pwatrack.model.conditions import Conditions, Noise, Quanta, Sampling
@@ -26,11 +25,11 @@ from pwatrack.model.reference import (
     total_signal,
 )
 from pwatrack.model.signal import ExponentialPolynomial
-from pwatrack.rational import fraction_of
 from pwatrack.real import Box, Real, Uncertain
 from pwatrack.simulation.region import BoxRegion, EllipsoidRegion, Region
 from pwatrack.spec.design_section import DesignSection, GoalSection, LoadSection, ends_of
 from pwatrack.spec.parametric import ParametricPlant
+from pwatrack.spec.plant_section import SystemSection
 from pwatrack.spec.signal_section import (
     OutsideSection,
     PolylineSection,
@@ -48,11 +47,10 @@ _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signa
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
 _AT_ONCE = 1e-12  # of a time: two that differ by less are one, but for rounding
 _GROWN = 138.0  # λ times the duration: e^138 is 1e60
-_Made = TypeVar("_Made")
 
 
 def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder: Folder, horizon: float) -> Reference:
-    """Return what is to be tracked, up to a `horizon` in s; raises as `_courses`, for all of them at once."""
+    """Return what is to be tracked, up to a `horizon` in s; raises as `_all_courses`."""
     if section.setpoint is not None:
         return SetPoint(readonly([section.setpoint[name] for name in tracked]))
     kind = next(kind for kind in ("output", "state", "input") if getattr(section, kind) is not None)
@@ -74,45 +72,41 @@ def build_reference(section: ReferenceSection, tracked: tuple[str, ...], folder:
 def _all_courses(
     signals: Sequence[tuple[ProfileSection, Subject]], folder: Folder, horizon: float, subject: Subject
 ) -> tuple[tuple[Course, ...], ...]:
-    """Return the courses of signals, each with its path below a subject; raises as `_courses`, for all at once."""
-    return _all(partial(_courses, signal, folder, horizon, (*subject, *where)) for signal, where in signals)
+    """Return the courses whose sum each signal is, up to a `horizon` in s, or refuse with all that makes none at once.
 
-
-def _all(makers: Iterable[Callable[[], _Made]]) -> tuple[_Made, ...]:
-    """Return what each of them makes, or refuse with all that is wrong."""
-    made, problems = list[_Made](), list[Problem]()
-    for make in makers:
-        try:
-            made.append(make())
-        except InvalidSpec as error:
-            problems += error.problems
+    A signal comes with its path below a subject.
+    """
+    found, problems = list[tuple[Course, ...]](), list[Problem]()
+    for section, where in signals:
+        courses = list[Course]()
+        for make in _makers(section, folder, horizon, (*subject, *where)):
+            try:
+                course = make()
+                if course.end is not None and course.end < horizon * (1 - _AT_ONCE):
+                    text = f" ends at t = {course.end:.6g} s, the simulation lasts until {horizon:.6g} s"
+                    raise _refused(text, (*subject, *where), "shorten the simulation or lengthen the signal")
+                courses.append(course)
+            except InvalidSpec as error:
+                problems += error.problems
+        found.append(tuple(courses))
     if problems:
         raise InvalidSpec(*problems)
-    return tuple(made)
+    return tuple(found)
 
 
-def _courses(section: ProfileSection, folder: Folder, horizon: float, subject: Subject) -> tuple[Course, ...]:
-    """Return the courses whose sum is a signal, up to a `horizon` in s, or refuse with all that makes none at once."""
-    makers: list[Callable[[], Course]] = []
+def _makers(
+    section: ProfileSection, folder: Folder, horizon: float, subject: Subject
+) -> Iterator[Callable[[], Course]]:
     others = section.step or section.trapezoid or section.polyline or section.table
     if section.formula is not None or section.sine or section.constant or section.until or not others:
-        makers.append(partial(_formula, section, horizon, subject))
-    makers += [partial(_step, step, horizon, (*subject, "step", k)) for k, step in enumerate(section.step)]
+        yield partial(_formula, section, horizon, subject)
+    yield from (partial(_step, step, horizon, (*subject, "step", k)) for k, step in enumerate(section.step))
     if section.trapezoid is not None:
-        makers.append(partial(_trapezoid, section.trapezoid, horizon, (*subject, "trapezoid")))
+        yield partial(_trapezoid, section.trapezoid, horizon, (*subject, "trapezoid"))
     if section.polyline is not None:
-        makers.append(partial(_polyline, section.polyline, horizon, (*subject, "polyline", "points")))
+        yield partial(_polyline, section.polyline, horizon, (*subject, "polyline", "points"))
     if section.table is not None:
-        makers.append(partial(read_table, folder, section.table, (*subject, "table")))
-    return _all(partial(_lasting, make, horizon, subject) for make in makers)
-
-
-def _lasting(make: Callable[[], Course], horizon: float, subject: Subject) -> Course:
-    course = make()
-    if course.end is not None and course.end < horizon * (1 - _AT_ONCE):
-        text = f" ends at t = {course.end:.6g} s, the simulation lasts until {horizon:.6g} s"
-        raise _refused(text, subject, "shorten the simulation or lengthen the signal")
-    return course
+        yield partial(read_table, folder, section.table, (*subject, "table"))
 
 
 def _refused(text: str, subject: Subject, hint: str = "") -> InvalidSpec:
@@ -203,22 +197,16 @@ def _polyline(section: PolylineSection, horizon: float, subject: Subject) -> Pro
         before -= (values[1] - values[0]) / times[1] * margin
         times, values = times[1:], values[1:]
     course = polyline([first, *times, times[-1] + margin], [before, *values, values[-1]])
-    _check_first(course, section, subject)
-    return Profile(corners=course, continuous=True, smooth=section.smooth, end=None)
-
-
-def _check_first(course: "scipy.interpolate.PPoly", section: PolylineSection, subject: Subject) -> None:
-    """Refuse a corner that is rounded from before t = 0 to after it."""
     half = (section.smooth or 0.0) / 2
     for t, kink in zip(course.x[1:-1].tolist(), np.diff(course.c[0]).tolist(), strict=True):
         if kink and abs(t) < half * (1 - _AT_ONCE):
-            k = [row[0] for row in section.points].index(t)
             raise _refused(
                 f": the corner at t = {t:g} s is rounded from t = {t - half:.6g} s on, before t = 0",
-                (*subject, k),
+                (*subject, [row[0] for row in section.points].index(t)),
                 f"let the first corner be at t = {half:g} s or later, or round less; a line that begins at t = 0 has "
                 "no corner there",
             )
+    return Profile(corners=course, continuous=True, smooth=section.smooth, end=None)
 
 
 def _check_fine(what: str, length: float, span: float, subject: Subject) -> None:
@@ -233,30 +221,25 @@ def _check_rounding(smooth: float | None, span: float, subject: Subject) -> None
         _check_fine(f"smooth: {smooth:g} s", smooth, span, subject)
 
 
-def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, plant: PWASystem) -> Loads | None:
+def build_loads(estimate: Literal["input"] | Mapping[str, LoadSection] | None, system: SystemSection) -> Loads | None:
     """Return the loads that are to be estimated; None for none."""
     if estimate is None:
         return None
     if isinstance(estimate, str):
-        columns = [_reals(plant.exact.B.part(range(len(plant.states)), [k])) for k in range(len(plant.inputs))]
-        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(plant.inputs, columns, strict=True)]
+        columns = [
+            {j: v for j, v in enumerate(column) if v.centre or v.radius} for column in zip(*system.B, strict=True)
+        ]
+        loads = [Load(name=f"load_{name}", into=into) for name, into in zip(system.inputs, columns, strict=True)]
     else:
         loads = [
             Load(
                 name=name,
-                into={plant.states.index(state): factor for state, factor in section.into.items()},
+                into={system.states.index(state): factor for state, factor in section.into.items()},
                 frequency=section.frequency or Real.of(0),
             )
             for name, section in estimate.items()
         ]
-    return Loads.of(loads, states=len(plant.states))
-
-
-def _reals(column: BallMatrix) -> dict[int, Real]:
-    """Return the entries of a column that are not 0."""
-    radius = column.centre * 0 if column.radius is None else column.radius
-    both = enumerate(zip(column.centre.entries(), radius.entries(), strict=True))
-    return {j: Real(fraction_of(c), fraction_of(r)) for j, (c, r) in both if c or r}
+    return Loads.of(loads, states=len(system.states))
 
 
 def _vector(values: Mapping[str, float], names: Sequence[str], missing: float = 0.0) -> Array:
@@ -350,7 +333,7 @@ def build_conditions(
     folder: Folder,
     outside: OutsideSection | None = None,
 ) -> Conditions:
-    """Return what is not as the theorems assume; raises as `_courses`, and as the plant does that runs."""
+    """Return what is not as the theorems assume; raises as `_all_courses`, and as the plant does that runs."""
     running = changed = limits = noise = disturbance = quanta = sampling = None
     if section.actuator is not None:
         limits = np.array([section.actuator.limits.get(name, [-np.inf, np.inf]) for name in plant.inputs])

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import PlainValidator, ValidationError, WithJsonSchema
+from pydantic import Field, PlainValidator, ValidationError, WithJsonSchema
 
 from pwatrack.errors import Problem, Subject
 from pwatrack.model.pwa import ROUNDING
@@ -81,8 +81,9 @@ class SpecFile(PlantFile):
     reference: ReferenceSection
     simulation: SimulationSection
     expect: ExpectSection | None = None
-    sweep: Annotated[SweepSection, named("parameter", "parameters")] | None = None
-    """Which parameters `pwatrack sweep` varies: ranges, or lists of values."""
+    sweep: Annotated[SweepSection, named("parameter", "parameters")] | None = Field(
+        None, description="Which parameters `pwatrack sweep` varies: ranges, or lists of values."
+    )
     require: Annotated[tuple[Requirement, ...], PlainValidator(read_requirements), WithJsonSchema({})] = ()
 
 

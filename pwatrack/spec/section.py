@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, Self
 from pydantic import (
     BaseModel,
     ConfigDict,
-    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     ValidationError,
     ValidationInfo,
@@ -16,12 +15,13 @@ from pydantic import (
     model_validator,
 )
 
-from pwatrack.errors import Subject
+from pwatrack.errors import Subject, listed
 from pwatrack.real import Real
 from pwatrack.spec.wording import guess, shown
 from pwatrack.spec.yaml_tree import at_path
 
 MOST = 100  # for so many faults of a kind it is guessed what was meant
+_FEW = 20  # names that are known, of very many
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def also(check: Callable[[Any, Context], Iterable[Fault]]) -> WrapValidator:
 
 
 class Section(BaseModel):
-    """A mapping in the file: unknown keys are errors. The text below a key says in the schema what it means."""
+    """A mapping in the file: unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -170,31 +170,6 @@ class Section(BaseModel):
         return section
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, core: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        schema = handler(core)
-        properties = handler.resolve_ref_schema(schema).get("properties", {})
-        for name, text in cls._meanings().items():
-            properties[cls.model_fields[name].alias or name]["description"] = text
-        return schema
-
-    @classmethod
-    def _meanings(cls) -> dict[str, str]:
-        """Return the text below each key. Pydantic would read them at each start of the program, for 0.1 s."""
-        import ast
-        import inspect
-        from itertools import pairwise
-
-        found = dict[str, str]()
-        for section in reversed([base for base in cls.__mro__ if issubclass(base, Section)]):
-            body = ast.parse(inspect.getsource(section)).body[0]
-            assert isinstance(body, ast.ClassDef)
-            for key, text in pairwise(body.body):
-                match key, text:
-                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(said))):
-                        found[name] = inspect.cleandoc(said)
-        return found
-
-    @classmethod
     def written_keys(cls) -> list[str]:
         """Return its keys, as they stand in a file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
@@ -209,12 +184,6 @@ def unknown_names(names: Iterable[str], known: Collection[str]) -> Iterator[tupl
             count += 1
 
 
-def listed(names: Iterable[str], most: int = 20) -> str:
-    """Return names joined by commas, the first ones where there are very many."""
-    names = tuple(names)
-    return ", ".join(names[:most]) + (", …" if len(names) > most else "") or "none"
-
-
 def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
     """Return a validator of a mapping by name: each is one of the names that a property of the context has.
 
@@ -227,7 +196,7 @@ def named(kind: str, of: str, form: str = " ({})") -> WrapValidator:
             return  # they are in error themselves
         for name, meant in unknown_names(value, known):
             at = (name,) if form[:1] == ";" else ()
-            text = f": {shown(name)} is no {kind}{form.format(listed(known))}{meant}"
+            text = f": {shown(name)} is no {kind}{form.format(listed(tuple(known), _FEW) or 'none')}{meant}"
             yield Fault(text, at, key=() if at else (name,), late=not known or of == "followed")
 
     return also(check)

@@ -41,10 +41,8 @@ class StepSection(Section):
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["at"]}, {"required": ["centre"]}]})
 
     size: Number
-    at: Number | None = None
-    """When it begins, in s."""
-    centre: Number | None = None
-    """Its middle, in s, in place of `at`."""
+    at: Number | None = Field(None, description="When it begins, in s.")
+    centre: Number | None = Field(None, description="Its middle, in s, in place of `at`.")
     smooth: Positive | None = None
 
 
@@ -148,9 +146,11 @@ class PaceSection(Section):
     jerk: Positive
     snap: Positive | None = None
     crackle: Positive | None = None
-    range: Interval | None = None
-    """What set-points may be: one that is beyond counts as its end. Needed where inputs have limits and a value of
-    the output itself takes some of them."""
+    range: Interval | None = Field(
+        None,
+        description="What set-points may be: one that is beyond counts as its end. Needed where inputs have limits and "
+        "a value of\nthe output itself takes some of them.",
+    )
 
     @property
     def limits(self) -> list[float]:
@@ -180,16 +180,20 @@ class ReferenceSection(Section):
         }
     )
 
-    output: Signals | None = None
-    """Of one tracked output, or of each by its name."""
-    preview: Literal["auto", "none"] = "auto"
-    """Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is refused."""
-    outside: OutsideSection | None = None
-    """What the program makes of set-points at run time, where it is exported for these."""
+    output: Signals | None = Field(None, description="Of one tracked output, or of each by its name.")
+    preview: Literal["auto", "none"] = Field(
+        "auto",
+        description="Whether x_d is worked out beforehand where the zero dynamics have unstable modes, or that is "
+        "refused.",
+    )
+    outside: OutsideSection | None = Field(
+        None, description="What the program makes of set-points at run time, where it is exported for these."
+    )
     state: Annotated[list[Signal], shaped("states")] | None = None
     input: Annotated[list[Signal], shaped("inputs")] | None = None
-    start: Annotated[PeriodicOrVector, shaped("states")] | None = None
-    """x_d(0); an empty list where it is the periodic steady state."""
+    start: Annotated[PeriodicOrVector, shaped("states")] | None = Field(
+        None, description="x_d(0); an empty list where it is the periodic steady state."
+    )
     setpoint: dict[str, Number] | None = None
 
     def rules(self, context: Context) -> Iterator[Fault]:
@@ -206,35 +210,25 @@ class ReferenceSection(Section):
         if self.preview != "auto" and self.output is None:
             yield Fault(".preview goes with reference.output", key=("preview",))
         if self.outside is not None:
-            yield from self._outside_faults(context)
+            if self.output is None:
+                yield Fault(".outside goes with reference.output", key=("outside",))
+            yield from _not_each(self.outside.filter, context.followed, ("outside", "filter"))
+            if len({len(pace.limits) for pace in self.outside.filter.values()}) > 1:
+                yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
         if self.input is not None and self.start is None:
             yield Fault(".start is missing: x_d(0), or 'periodic'")
-        if self.output is not None and "output" in fitting and context.followed:
-            yield from _output_faults(self.output, context.followed)
+        followed = context.followed if "output" in fitting else ()
+        if isinstance(self.output, dict) and followed:
+            hint = f"entries of a signal are {', '.join(ProfileSection.model_fields)}"
+            yield from _not_each(self.output, followed, ("output",), f" ({', '.join(followed)})", hint)
+        elif self.output is not None and len(followed) > 1:
+            text = f".output is one signal, and {len(followed)} outputs are tracked: {', '.join(followed)}"
+            one = followed[0]
+            hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
+            yield Fault(text, hint=hint, key=("output",), late=True)
         if self.setpoint is not None and set(self.setpoint) != set(context.followed):
             tracked, own = (", ".join(names) for names in (context.followed, self.setpoint))
             yield Fault(f"setpoint must give what is tracked, {tracked}, and gives {own}", ("setpoint",), late=True)
-
-    def _outside_faults(self, context: Context) -> Iterator[Fault]:
-        assert self.outside is not None
-        given = self.outside.filter
-        if self.output is None:
-            yield Fault(".outside goes with reference.output", key=("outside",))
-        yield from _not_each(given, context.followed, ("outside", "filter"))
-        if len({len(pace.limits) for pace in given.values()}) > 1:
-            yield Fault(".outside.filter must limit as many derivatives of each output", key=("outside",))
-
-
-def _output_faults(output: ProfileSection | dict[str, ProfileSection], tracked: tuple[str, ...]) -> Iterator[Fault]:
-    """Yield where there is no signal for a tracked output, or one for anything else."""
-    if isinstance(output, dict):
-        hint = f"entries of a signal are {', '.join(ProfileSection.model_fields)}"
-        yield from _not_each(output, tracked, ("output",), f" ({', '.join(tracked)})", hint)
-    elif len(tracked) > 1:
-        text = f".output is one signal, and {len(tracked)} outputs are tracked: {', '.join(tracked)}"
-        one = tracked[0]
-        hint = f"give each its own, output: {{{one}: …}}, or say which one follows the reference: track: [{one}]"
-        yield Fault(text, hint=hint, key=("output",), late=True)
 
 
 def _not_each(

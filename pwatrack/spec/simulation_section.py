@@ -158,17 +158,20 @@ class SimulationSection(Section):
 
     duration: Positive
     sample_time: Positive
-    settled: Annotated[dict[str, Positive], named("output", "followed")] = {}
-    """By name: how far from its rest an output counts as settled, in its unit."""
+    settled: Annotated[dict[str, Positive], named("output", "followed")] = Field(
+        {}, description="By name: how far from its rest an output counts as settled, in its unit."
+    )
     initial: InitialSection = InitialSection()
     plant: PlantSection | None = None
     actuator: ActuatorSection | None = None
     disturbance: Annotated[dict[str, Signal], Field(min_length=1), named("state", "states")] | None = None
     noise: NoiseSection | None = None
-    quantum: Annotated[dict[str, Positive], named("input or output", "ports")] = {}
-    """Steps of inputs and measured outputs, by name, in their units."""
-    rate_limit: Annotated[dict[str, Positive], named("input", "inputs")] = {}
-    """By how much inputs may change, by name, in their unit per second."""
+    quantum: Annotated[dict[str, Positive], named("input or output", "ports")] = Field(
+        {}, description="Steps of inputs and measured outputs, by name, in their units."
+    )
+    rate_limit: Annotated[dict[str, Positive], named("input", "inputs")] = Field(
+        {}, description="By how much inputs may change, by name, in their unit per second."
+    )
     controller: SampledSection | None = None
     portraits: Annotated[list[FormPair], Field(max_length=_MOST_PORTRAITS)] = []
     ensemble: EnsembleSection = EnsembleSection()
@@ -197,12 +200,9 @@ class SimulationSection(Section):
             if duration / period > most:
                 hint = "" if at else "the sample time moves no event; a longer one only draws fewer points"
                 yield Fault(f"{duration / period:.3g} {what}, at most {most:,} are taken", (*at, "sample_time"), hint)
-        if self.ensemble.initial is not None:
-            yield from self._not_varied(self.ensemble.initial)
-
-    def _not_varied(self, regions: StartRegionsSection) -> Iterator[Fault]:
-        """Yield where nothing is varied in an ensemble, or what has no start that is known."""
-        at = ("ensemble", "initial")
+        at, regions = ("ensemble", "initial"), self.ensemble.initial
+        if regions is None:
+            return
         if not (regions.plant or regions.observer or regions.generator):
             yield Fault(": nothing is varied", at, "for example plant: {z1: [-0.1, 0.1]}")
         if self.initial.observer == "measured" and regions.observer is not None:

@@ -79,7 +79,18 @@ def path_of(subject: Subject) -> Subject:
 
 def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> PwatrackError:
     """Return the same refusal in the words of the file, with the place of the nearest path that is written there."""
-    return type(refusal)(*(_located(p, places) for p in refusal.problems), evidence=refusal.evidence)
+    problems = list[Problem]()
+    for problem in refusal.problems:
+        problem = spelled(problem, python=isinstance(places, Arguments))
+        if problem.place is None and problem.subject is not None:
+            subject = path_of(problem.subject)
+            problem = replace(problem, subject=subject)
+            problem = places.said(problem) if isinstance(places, Arguments) else problem
+            while subject and subject not in places:
+                subject = subject[:-1]
+            problem = replace(problem, place=places.get(subject))
+        problems.append(problem)
+    return type(refusal)(*problems, evidence=refusal.evidence)
 
 
 def spelled(problem: Problem, *, python: bool = False) -> Problem:
@@ -89,16 +100,3 @@ def spelled(problem: Problem, *, python: bool = False) -> Problem:
     way, figures = problem.remedy.way, problem.remedy.figures
     words = ((python and _IN_PYTHON.get(way)) or _WORDS[way]).format(*figures, hint=problem.hint)
     return replace(problem, hint=words, remedy=None)
-
-
-def _located(problem: Problem, places: Mapping[Subject, Place]) -> Problem:
-    problem = spelled(problem, python=isinstance(places, Arguments))
-    if problem.place is not None or problem.subject is None:
-        return problem
-    subject = path_of(problem.subject)
-    problem = replace(problem, subject=subject)
-    if isinstance(places, Arguments):
-        problem = places.said(problem)
-    while subject and subject not in places:
-        subject = subject[:-1]
-    return replace(problem, place=places.get(subject))

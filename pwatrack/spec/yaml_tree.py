@@ -197,50 +197,36 @@ def document_of(
     Numbers become the shortest decimals that read as the same doubles, fractions stay exact; arrays and tuples are
     lists; what is None is not there. `named` says how the value of a path is called in Python.
     """
-    reading = _Reading(Arguments(named))
-    return Document(data=reading.mapping(data, ()), places=reading.places, problems=reading.problems)
+    places, problems = Arguments(named), list[Problem]()
 
+    def fault(path: Subject, what: str) -> str:
+        problems.append(Problem(message=f"{path_text(path)}: {what}" if path else what, subject=path))
+        return "0"
 
-class _Reading:
-    """Turns values into a tree, and collects what can be none of it."""
-
-    def __init__(self, places: Arguments) -> None:
-        self.places, self.problems = places, list[Problem]()
-
-    def mapping(self, data: Mapping[Any, Any], path: Subject) -> dict[str, Any]:
-        self.places.add(path)
-        for key in data:
-            if not isinstance(key, str):
-                self._fault(path, f"the key {shown(str(key))} is no text")
-        known = {key: value for key, value in data.items() if isinstance(key, str) and value is not None}
-        return {key: self._value(value, (*path, key)) for key, value in known.items()}
-
-    def _value(self, value: Any, path: Subject) -> Any:
+    def tree(value: Any, path: Subject) -> Any:
         value = value.tolist() if hasattr(value, "tolist") else value
         if len(path) > DEEPEST:
-            return self._fault(path, f"nested deeper than {DEEPEST} levels")
+            return fault(path, f"nested deeper than {DEEPEST} levels")
+        places.add(path)
         if isinstance(value, Mapping):
-            return self.mapping(value, path)
-        self.places.add(path)
+            for key in value:
+                if not isinstance(key, str):
+                    fault(path, f"the key {shown(str(key))} is no text")
+            known = {key: entry for key, entry in value.items() if isinstance(key, str) and entry is not None}
+            return {key: tree(entry, (*path, key)) for key, entry in known.items()}
         if isinstance(value, list | tuple | range):
-            return [self._value(entry, (*path, k)) for k, entry in enumerate(value)]
-        return self._text(value, path)
-
-    def _text(self, value: Any, path: Subject) -> str:
+            return [tree(entry, (*path, k)) for k, entry in enumerate(value)]
         if isinstance(value, str):
-            return self._fault(path, "this text has half of a surrogate pair") if _SURROGATE.search(value) else value
+            return fault(path, "this text has half of a surrogate pair") if _SURROGATE.search(value) else value
         if isinstance(value, bool) or not isinstance(value, Rational | float | Decimal):
-            kind = type(value).__name__
-            return self._fault(path, f"a value of type {kind} is no number, text, list, array or mapping")
+            return fault(path, f"a value of type {type(value).__name__} is no number, text, list, array or mapping")
         if not isinstance(value, Rational) and math.isnan(value):
-            return self._fault(path, "nan is no number")
+            return fault(path, "nan is no number")
         if not isinstance(value, Rational) and math.isinf(value):
             return ".inf" if value > 0 else "-.inf"
         return repr(value) if isinstance(value, float) else str(value)
 
-    def _fault(self, path: Subject, what: str) -> str:
-        self.problems.append(Problem(message=f"{path_text(path)}: {what}" if path else what, subject=path))
-        return "0"
+    return Document(data=tree(data, ()), places=places, problems=problems)
 
 
 def yaml_text(tree: Mapping[str, Any]) -> str:
