@@ -3,10 +3,10 @@
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
-from pwatrack.arrays import amount
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Row
 from pwatrack.model.sizes import Sizes
+from pwatrack.report.plant import orders
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.report.terminal import visible
 from pwatrack.simulation.modes import Mode, modes
@@ -51,9 +51,7 @@ def _size_parts(sizes: Sizes, units: Mapping[str, str]) -> Iterator[str]:
 def plant_rows(report: Applicability, name: str) -> Iterator[Row]:
     """Yield what a plant is, what is odd of it, and the modes of each different cell, without a controller."""
     plant, form, alike = report.plant, report.form, dict[bytes, list[int]]()
-    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": plant.cell_names}
-    orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
-    said = [orders, f"tracks {', '.join(plant.tracked_names)}, measures {', '.join(plant.outputs)}"]
+    said = [orders(plant), f"tracks {', '.join(plant.tracked_names)}, measures {', '.join(plant.outputs)}"]
     if form is not None and report.zero_dynamics is not None:
         stable = "stable in each cell" if (report.zero_dynamics.real < 0).all() else "not stable in some cell"
         internal = f"internal states {', '.join(form.eta_names)}, {stable}" if form.eta_names else "no internal states"

@@ -8,7 +8,7 @@ import signal
 import sys
 import traceback
 import unicodedata
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pwatrack.compilation import while_compiling
+from pwatrack.control.controller import Row
 from pwatrack.errors import ExitCode, Place, Problem, PwatrackError
 from pwatrack.interruption import ended_by
 from pwatrack.remote_files import content
@@ -257,11 +258,12 @@ def as_json(error: PwatrackError) -> str:
     return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})
 
 
-def titled(title: str | None) -> Table:
-    """Return an empty table of labels and sentences."""
-    table = Table(
-        show_header=False, box=None, padding=(0, 2, 0, 0), title=title or None, title_justify="left", title_style="bold"
-    )
+def print_rows(console: Console, title: str | None, rows: Iterable[Row]) -> None:
+    """Print labels and sentences as a table."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0), title=title or None, title_justify="left")
+    table.title_style = "bold"
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    return table
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
