@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,32 +58,19 @@ class _Kicked(Tube):
 
 @dataclass(frozen=True, kw_only=True)
 class Rounding:
-    """A program in numbers of some kind, in a run.
+    """A program in numbers of some kind, in a run."""
 
-    Attributes:
-        controller: Whose program it is.
-        numbers: What runs, in whole numbers or single floats.
-        ranges: Of its numbers, were they real.
-        given: The reference from outside at all ticks of the run, (ticks, s); (ticks, 0) where it is made inside.
-        room: Times what numbers are at most with real numbers, to which they may grow.
-        proved: The program that its loop was proved with, which makes the reference inside.
-        started: What x̂ with ŝ, and η̂ start with.
-    """
-
-    controller: ProvedController
-    numbers: FixedPoint | SingleFloats
-    ranges: ProgramRanges
-    given: Array
-    room: float
-    proved: SampledController
-    started: tuple[ArrayLike, ArrayLike]
+    controller: ProvedController  # whose program it is
+    numbers: FixedPoint | SingleFloats  # what runs
+    ranges: ProgramRanges  # of its numbers, were they real
+    given: Array  # the reference from outside at all ticks, (ticks, s); (ticks, 0) where it is made inside
+    room: float  # times what numbers are at most with real numbers, to which they may grow
+    proved: SampledController  # what its loop was proved with, which makes the reference inside
+    started: tuple[ArrayLike, ArrayLike]  # what x̂ with ŝ, and η̂ start with
 
     @cached_property
     def bounds(self) -> SampledBounds:
-        """What all that acts leaves, and rounding too.
-
-        Raises CheckFailed if a number leaves its 32 bits, or no tube is known.
-        """
+        """What all that acts leaves, and rounding too; CheckFailed if a number leaves its bits, or no tube is known."""
         known, count = self.ranges.bounds, len(self.ranges.bounds.acts.near)
         off: dict[Channel, float] = {("input", k): size for k, size in enumerate(self.put_out.tolist())}
         wanted: list[Channel] = [*off, *(("noise", k) for k in range(len(known.errors.plant.C)))]
@@ -254,12 +241,7 @@ def _reference_alone(program: SampledController) -> SampledController:
 
 
 def beside_cells(program: SampledController, off: Array) -> Array:
-    """Return how far at most a point of a cell is from any at which its planes are contradicted by `off`, (n,).
-
-    Args:
-        program: Whose cells of x̂ they are.
-        off: By how much at most, of each plane, (K,).
-    """
+    """Return how far at most a point of a cell of x̂ is from any at which its planes are contradicted by `off`, (n,)."""
     found = np.zeros(program.H.shape[1])
     for signs in program.signs:
         planes = np.flatnonzero(signs)
@@ -275,13 +257,7 @@ def beside_cells(program: SampledController, off: Array) -> Array:
 
 
 def of_run(controller: ProvedController, code: Source, kind: Literal["float32", "int32"], given: Array) -> Rounding:
-    """Return what runs in a run of its spec, in numbers of a kind; whole ones in units that their ranges just fit in.
-
-    Args:
-        controller: Whose program it is.
-        code: What is exported.
-        kind: Of its numbers.
-        given: As of `Rounding`.
+    """Return code in a run of its spec, in numbers of a kind; whole ones in units that their ranges just fit in.
 
     Raises OutsideTheory or CheckFailed for what is not made in whole numbers, or not proved.
     """
@@ -297,7 +273,8 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
     if ranges is None:
         message = f"{NOT_KNOWN}between what its numbers are is not proved: see 'sampled loop' of the design"
         raise CheckFailed(message, hint=_OTHER)
-    proved, started = runs(code.file), code.file.started
+    of_all: Any = {"controller": controller, "ranges": ranges, "given": given, "proved": runs(code.file)}
+    of_all["started"] = started = code.file.started
 
     def within(room: float) -> Rounding:
         units = units_of(program, {name: _LESS * room * size for name, size in largest(ranges, given).items()})
@@ -305,15 +282,7 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
         if kind == "float32":
             spare = {name: 2.0**31 * unit for name, unit in units.items()}  # as much again
             numbers = SingleFloats(program=program, started=started, spare=spare)
-        return Rounding(
-            controller=controller,
-            numbers=numbers,
-            ranges=ranges,
-            given=given,
-            room=room,
-            proved=proved,
-            started=started,
-        )
+        return Rounding(numbers=numbers, room=room, **of_all)
 
     *rooms, last = _ROOMS if kind == "int32" else _ROOMS[:1]
     return next(filter(lambda found: found.fits, map(within, rooms)), within(last))

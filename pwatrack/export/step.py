@@ -197,7 +197,6 @@ def _finite(value: str) -> str:
 
 @cache
 def _statement() -> tuple[dict[str, ast.FunctionDef], dict[str, Any]]:
-    """Return the functions of the kernel, and its whole numbers."""
     body = ast.parse(files("pwatrack.simulation").joinpath("kernel.py").read_text(encoding="utf-8")).body
     known: dict[str, Any] = {"np": np, "len": len, "min": min}
     for node in body:
@@ -235,9 +234,7 @@ class _Worked:
                     self.value(call, known, found)
                 case ast.Return(value=ast.expr() as value):
                     return found, self.value(value, known, found)
-                case ast.Assign(targets=[target], value=value):
-                    self.assign(target, value, known, found)
-                case ast.AnnAssign(target=target, value=ast.expr() as value):
+                case ast.Assign([target], value) | ast.AnnAssign(target=target, value=ast.expr() as value):
                     self.assign(target, value, known, found)
                 case ast.For(target=ast.Name(id=index), iter=ast.Call(args=args)):
                     numbers = range(*(self.decided(arg, known) for arg in args))
@@ -369,8 +366,6 @@ _WORK = ("g", "source", "cut", "seen", "moved", "missed", "going", "lasting", "b
 
 
 class _Named(ast.NodeTransformer):
-    """Puts values where names are."""
-
     def __init__(self, values: dict[str, ast.expr]) -> None:
         self.values = values
 

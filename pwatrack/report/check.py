@@ -36,16 +36,14 @@ def check_screen(
     said = can_be_designed(report, why_not, refused=refused)
     first = textwrap.wrap(visible(said), COLUMNS, max_lines=3, placeholder=" …")
     rows = [*plant_rows(report, name), *([("reference", f"checked: {reference}")] if reference else [])]
-    rows += [("sizes", "what counts as 1: " + "; ".join(_size_parts(sizes, units)))] if sizes else []
+    if sizes:
+        each = (
+            f"{name} {size:.4g} {units.get(name, '')}".rstrip() + " (given)" * (sizes.origins[name] == "given")
+            for name, size in sizes.by_name.items()
+        )
+        rows.append(("sizes", f"what counts as 1: {'; '.join(each)}"))
     rows += [("remark", remark) for remark in (*report.plant.remarks, *remarks)]
     return [*first, *fitted(joined(rows), LINES - len(first))]
-
-
-def _size_parts(sizes: Sizes, units: Mapping[str, str]) -> Iterator[str]:
-    """Yield each size with its unit, and whether the file gives it."""
-    for name, size in sizes.by_name.items():
-        given = " (given)" * (sizes.origins[name] == "given")
-        yield f"{name} {size:.4g} {units.get(name, '')}".rstrip() + given
 
 
 def plant_rows(report: Applicability, name: str) -> Iterator[Row]:

@@ -133,7 +133,6 @@ def percent(share: float) -> str:
 
 
 def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:
-    """Return what of a region varies, by name."""
     if isinstance(region, BoxRegion):
         ends = zip(names, region.low.tolist(), region.high.tolist(), strict=True)
         return {"box": {name: [low, high] for name, low, high in ends if low < high}}

@@ -38,6 +38,10 @@ def page(
     summary: str | None = None,
 ) -> str:
     """Return the page of a run, which needs no other file and no network; pictures are SVG files by name."""
+    spec = result.spec
+    changed = "".join(f"<p>with {escaped(f'{name} = {value}')}</p>" for name, value in spec.overrides.items())
+    text = spec_text(spec)
+    said = "it is not there any more as it was read" if text is None else _cut(text.decode())
     title, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
     body = Template(files("pwatrack.report").joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=escaped(title),
@@ -45,7 +49,7 @@ def page(
         pictures="".join(_picture(name, pictures[name]) for name in ordered if name in pictures),
         cells="".join(_part(part, rows, result.end) for part, rows in stays(result, _WIDTH)),
         claims="".join(_claims(result, json.loads(certificate))) + _unfolds(f"All of {SUMMARY}", summary or ""),
-        spec=_spec(result),
+        spec=f"{changed}<pre>{escaped(said)}</pre>",
     )
     return document(title, body)
 
@@ -91,15 +95,6 @@ def _claims(result: SimulatedLoop, certificate: Mapping[str, Any]) -> Iterator[s
             parts.append(_unfolds("Its numbers", json_text({key: certificate[key] for key in keys})))
         title = (type(claim).__doc__ or type(claim).__name__).partition("\n")[0].rstrip(".")
         yield f'<details class="claim"><summary>{escaped(title)}</summary>{"".join(parts)}</details>'
-
-
-def _spec(result: SimulatedLoop) -> str:
-    """Return the spec as it was read, and what was set in it from outside."""
-    spec = result.spec
-    changed = "".join(f"<p>with {escaped(f'{name} = {value}')}</p>" for name, value in spec.overrides.items())
-    text = spec_text(spec)
-    said = "it is not there any more as it was read" if text is None else _cut(text.decode())
-    return f"{changed}<pre>{escaped(said)}</pre>"
 
 
 def _unfolds(title: str, text: str) -> str:

@@ -27,7 +27,10 @@ def print_plant(
 def _plant_rows(report: Applicability, reference: str, sizes: Sizes | None, remarks: Sequence[str]) -> Iterator[Row]:
     plant, form, cells, facets = report.plant, report.form, report.plant.cell_names, report.plant.partition.facets
     yield "plant (1)", f"{orders(plant)}; continuous across {amount(len(facets), 'facet')}"
-    yield from _some_rows("cell", range(len(cells)), lambda i: _cell_text(report, i))
+    zeros = [()] * len(cells) if report.zero_dynamics is None else report.zero_dynamics
+    said = (", ".join(complex_text(complex(v)) for v in row) for row in zeros)
+    each = [f"{name}: zero dynamics {text}" if text else name for name, text in zip(cells, said, strict=True)]
+    yield from _some_rows("cell", each, str)
     yield from _some_rows("facet", facets, lambda f: f"{cells[f.i]} | {cells[f.j]}, on {plant.hyperplane_text(f.k)}")
     if form is not None:
         internal = ", ".join(form.eta_names) or "none"
@@ -53,12 +56,6 @@ def _some_rows(kind: str, things: Sequence[Any], text: Callable[[Any], str]) -> 
     yield from ((kind, text(each)) for each in shown)
     if len(shown) < len(things):
         yield "", f"… and {len(things) - len(shown):,} more {kind}s (--json lists all)"
-
-
-def _cell_text(report: Applicability, i: int) -> str:
-    name = report.plant.cell_names[i]
-    values = () if report.zero_dynamics is None else report.zero_dynamics[i]
-    return f"{name}: zero dynamics {', '.join(complex_text(complex(v)) for v in values)}" if len(values) else name
 
 
 def check_json(

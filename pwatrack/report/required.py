@@ -35,21 +35,17 @@ _ABSENT = {  # why a run has no such figure
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A requirement of a signal ('' where the figure is not one of a signal), and what came out, also in words.
-
-    `found` is the figure, of an ensemble that of its worst member; infinite for a time that never comes. `short` is the
-    text for the first screen, `label` names the figure, and `members` has it of each member of an ensemble.
-    """
+    """A requirement of a signal, and what came out, also in words."""
 
     requirement: Requirement
-    signal: str
-    label: str
+    signal: str  # '' where the figure is not one of a signal
+    label: str  # of the figure
     unit: str
-    members: tuple[float, ...]
-    found: float
+    members: tuple[float, ...]  # the figure of each member of an ensemble
+    found: float  # the figure, of an ensemble that of its worst member; infinite for a time that never comes
     met: bool
     text: str
-    short: str
+    short: str  # the text for the first screen
 
     @property
     def content(self) -> dict[str, Any]:

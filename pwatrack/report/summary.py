@@ -80,7 +80,6 @@ def _proof_texts(result: SimulatedLoop) -> Iterator[str]:
 
 
 def _margin_texts(found: Findings) -> Iterator[str]:
-    """Yield the margins of each cell by itself."""
     plant = found.controller.plant
     for one in found.assessment.margins:
         low, high = (number_text(v, ".3g") for v in one.gain)
@@ -91,7 +90,6 @@ def _margin_texts(found: Findings) -> Iterator[str]:
 
 
 def _result_rows(result: SimulatedLoop) -> Iterator[Row]:
-    """Yield what was measured of a run."""
     figures, units, plant = measures(result), result.spec.problem.units, result.spec.problem.plant
     for name, figure in load_content(result).items():
         unit = figure["unit"]
@@ -201,7 +199,6 @@ def _ensemble_rows(many: EnsembleResult, figures: Mapping[str, Any]) -> Iterator
 
 
 def _signal_labels(many: EnsembleResult) -> Iterator[tuple[str, str, str]]:
-    """Yield the figures of outputs and inputs, what they are called, and how they are written."""
     units = many.nominal.spec.problem.units
     for name in member_figures(many):
         if name.startswith("settling_time_"):

@@ -21,7 +21,6 @@ from rich.table import Table
 from rich.text import Text
 
 from pwatrack.compilation import while_compiling
-from pwatrack.control.controller import Row
 from pwatrack.errors import ExitCode, Place, Problem, PwatrackError
 from pwatrack.interruption import ended_by
 from pwatrack.remote_files import content
@@ -258,7 +257,7 @@ def as_json(error: PwatrackError) -> str:
     return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})
 
 
-def print_rows(console: Console, title: str | None, rows: Iterable[Row]) -> None:
+def print_rows(console: Console, title: str | None, rows: Iterable[tuple[str, str]]) -> None:
     """Print labels and sentences as a table."""
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0), title=title or None, title_justify="left")
     table.title_style = "bold"

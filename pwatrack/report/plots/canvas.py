@@ -100,7 +100,11 @@ def _any_letter() -> Iterator[None]:
 def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     """Name both axes, and show from the first to the last of these times, or of whatever goes to the right."""
     axes.set_xlabel(x, fontsize=9)
-    room = _height(axes)
+    spec: Any = axes.get_subplotspec()
+    figure: Any = axes.get_figure()
+    ratios = np.array(spec.get_gridspec().get_height_ratios())
+    share = float(ratios[spec.rowspan.start : spec.rowspan.stop].sum() / ratios.sum())
+    room = float(figure.get_size_inches()[1] - _AROUND) * share - _BELOW  # the height in inches, about
     size = _SIZE if len(y) < room / (_LETTER * _SIZE) else _SMALL
     short = _LONG.sub(lambda number: f"{float(number[0]):.3g}", y)
     kept = short.replace("+ ", "+\u00a0").replace("- ", "-\u00a0")  # a sign stays with what follows
@@ -112,15 +116,6 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
         axis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
-
-
-def _height(axes: Axes) -> float:
-    """Return about how high a panel will be, in inches."""
-    spec: Any = axes.get_subplotspec()
-    figure: Any = axes.get_figure()
-    ratios = np.array(spec.get_gridspec().get_height_ratios())
-    share = float(ratios[spec.rowspan.start : spec.rowspan.stop].sum() / ratios.sum())
-    return float(figure.get_size_inches()[1] - _AROUND) * share - _BELOW
 
 
 def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:

@@ -13,18 +13,9 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.figures import percent
+from pwatrack.report.plots import signals
 from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
 from pwatrack.report.plots.elements import nonlinearities
-from pwatrack.report.plots.signals import (
-    control_input,
-    estimates,
-    internal_states,
-    observer_error,
-    outputs,
-    states,
-    steady_state,
-    tracking_error,
-)
 from pwatrack.report.stays import stays
 from pwatrack.workflow.outcome import SimulatedLoop
 
@@ -37,19 +28,19 @@ def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
     tracking_error and observer_error are the paper's Figure 2, internal_states its Figure 3, steady_state its Figure 4.
     """
     of_result = {
-        "tracking_error": tracking_error,
-        "observer_error": observer_error,
-        "outputs": outputs,
-        "states": states,
-        "input": control_input,
+        "tracking_error": signals.tracking_error,
+        "observer_error": signals.observer_error,
+        "outputs": signals.outputs,
+        "states": signals.states,
+        "input": signals.control_input,
         "cells": active_cells,
     }
     if result.response.eta.shape[1]:
-        of_result["internal_states"] = internal_states
+        of_result["internal_states"] = signals.internal_states
     if result.steady_state is not None:
-        of_result["steady_state"] = steady_state
+        of_result["steady_state"] = signals.steady_state
     if result.response.estimates.shape[1]:
-        of_result["estimates"] = estimates
+        of_result["estimates"] = signals.estimates
     found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
     problem = result.spec.problem
     if problem.plant.elements:

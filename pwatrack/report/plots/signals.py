@@ -79,7 +79,6 @@ def states(result: SimulatedLoop) -> Figure:
 
 
 def _limit_lines(axes: Axes, result: SimulatedLoop, name: str) -> list[float]:
-    """Draw the limits of an output or state, where it has some."""
     drawn = [limit for figure in RANGES for limit in limits(result, figure, name)]
     for limit in drawn:
         axes.axhline(limit, label="limit", **LIMIT)
@@ -214,7 +213,6 @@ def _start(result: SimulatedLoop) -> float:
 
 
 def _column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
-    """Return panels below each other."""
     each = 1.7 if count <= 6 else 1.1
     return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
 
@@ -286,12 +284,10 @@ def _step_lines(axes: Axes, result: SimulatedLoop, name: str, y: Array, y_d: Arr
 
 
 def _desired_label(result: SimulatedLoop) -> str:
-    """Say where the desired trajectory comes from."""
     return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
 
 
 def _labelled(result: SimulatedLoop, name: str) -> str:
-    """Return the name of a signal with its unit."""
     unit = result.spec.problem.units.get(name, "")
     return f"{name} ({unit})" if unit else name
 

@@ -218,14 +218,12 @@ def sweep_maps(
 
 
 def _shown(figures: Mapping[str, Array]) -> list[tuple[str, str]]:
-    """Return which figures are drawn, and their labels."""
     times = [key for key in figures if key.startswith(_SETTLING)]
     settling = ((key, f"settling time of {key.removeprefix(_SETTLING)} (s)") for key in times)
     return [*((key, text) for key, text in _SHOWN.items() if key in figures), *settling]
 
 
 def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> ScalarMappable:
-    """Colour a grid, or points that are none."""
     x, y = (np.unique(part) for part in at)
     if len(x) * len(y) == len(values):
         return axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
