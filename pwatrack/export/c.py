@@ -65,7 +65,7 @@ def header(source: Source) -> str:
         "constant_bytes": constants,
         "real": "int32_t" if source.whole is not None else "float" if source.single else "double",
         "units": _units(source),
-        "refused": _refused(source),
+        "refused": "not finite" if source.whole is None else "out of range",
         "lines": "\n".join(f"    {_declared(source, variable)}" for variable in _state(source.step)),
     }
     return template("c_header.h", **values)
@@ -103,10 +103,6 @@ def code(source: Source) -> str:
         "missing": "(y == NULL) || (ref == NULL)" if source.given else "y == NULL",
     }
     return template("c_source.c", **values)
-
-
-def _refused(source: Source) -> str:
-    return "not finite" if source.whole is None else "out of range"
 
 
 def _units(source: Source) -> str:
@@ -249,6 +245,6 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
         "late": f", and that it is put out {late} samples late" if late else "",
         "first": source.routine.at.x_hat,
         "vector": vector.origin,
-        "refused": _refused(source),
+        "refused": "not finite" if source.whole is None else "out of range",
         "every_bit": _FLOATS if source.whole is None else _WHOLE,
     }

@@ -90,7 +90,10 @@ class Rounding:
             beside["input", k] = beside.get(("input", k), 0.0) + np.full(count, size)
         acts = replace(known.acts, squares=squares, beside=beside)
         found = replace(known, acts=acts, tubes={**tubes, _CHANNEL: kicked})
-        self._check_room(replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out))
+        ranges = replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out)
+        for name, each in self._largest(ranges).items():
+            if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
+                raise CheckFailed(f"{NOT_KNOWN}{name} may get too large", hint=_OTHER)
         return found
 
     @property
@@ -211,11 +214,6 @@ class Rounding:
         return found | {
             name: np.maximum(found[name], np.abs(made[name]).max(axis=0)) for name in ("x_d", "eta_hat") if made
         }
-
-    def _check_room(self, ranges: ProgramRanges) -> None:
-        for name, each in self._largest(ranges).items():
-            if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
-                raise CheckFailed(f"{NOT_KNOWN}{name} may get too large", hint=_OTHER)
 
 
 def largest(ranges: ProgramRanges, given: Array) -> dict[str, Array]:

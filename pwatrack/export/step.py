@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pwatrack.export.notation import names
+
 if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays
 
@@ -77,10 +79,7 @@ class Step:
 
 
 def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Step:
-    """Return the step of a controller.
-
-    `starts` has what x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
-    """
+    """Return the step of a controller that starts from `start_x_hat` (with ŝ), `start_eta_hat`, `start_w` if inside."""
     at, copies = routine.at, max(len(routine.turn) - 1, 0)
     past = at.late - at.past
     arrays: tuple[Variable, ...] = (
@@ -162,12 +161,8 @@ def _body(
     routine: "ControllerArrays", arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
 ) -> Iterator[str]:
     """Yield a step, unless a number that is an index was overwritten: then the answer to that."""
-    below = {
-        "cell": len(routine.signs),
-        "cell_d": len(routine.sides),
-        "since": 2 ** (10 * max(len(routine.turn) - 1, 0)),
-    }
-    below["piece"] = len(routine.piece_tick) + 1
+    below = {"cell": len(routine.signs), "cell_d": len(routine.sides), "piece": len(routine.piece_tick) + 1}
+    below["since"] = 2 ** (10 * max(len(routine.turn) - 1, 0))
     inside = [f"({v.name} >= 0) and ({v.name} < {below[v.name]})" for v in numbers if v.name in below]
     lines = [_loop("k", variable.length, f"new_{variable.name}[k] = {variable.name}[k]") for variable in arrays]
     lines += [_Worked(routine, variables).text("_next"), "'Nothing is changed unless all of it is finite.'"]
@@ -285,14 +280,14 @@ class _Worked:
             known[target.id] = self.value(value, known, found) if decided is None else decided
             return
         place = self.value(target, known, found)
-        if {node.id for node in ast.walk(place) if isinstance(node, ast.Name)} <= self.variables:  # else nobody asks
+        if names(place) <= self.variables:  # else nobody asks
             made = self.value(value, known, found)
             if ast.unparse(made) != ast.unparse(place):
                 found.append(ast.Assign([place], made))
 
     def decided(self, node: ast.expr, known: dict[str, Any]) -> Any:
         """Return a value that is known, or None."""
-        if any(isinstance(known.get(n.id), ast.expr | None) for n in ast.walk(node) if isinstance(n, ast.Name)):
+        if any(isinstance(known.get(name), ast.expr | None) for name in names(node)):
             return None
         whole = ast.fix_missing_locations(ast.Expression(deepcopy(node)))
         return eval(compile(whole, "kernel", "eval"), {"__builtins__": {}}, known)  # noqa: S307  # our own code

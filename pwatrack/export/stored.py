@@ -321,14 +321,11 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
 def check_same(
     spec: Spec, controller: ProvedController, known: ControllerFile
 ) -> tuple[Spec, SampledController | None]:
-    """Return a spec that has the gains of a stored controller, with its sample time, and its program.
-
-    Raises InvalidSpec if plant, reference or the limits of the program are not those of the spec.
-    """
+    """Return a spec with gains and sampling of a stored controller, and its program; InvalidSpec if it is of another."""
     again = content(spec, controller, proof=known.proof, generator=None, start=None)
-    here = ControllerFile.model_validate(again).model_dump()
+    there, here = known.model_dump(), ControllerFile.model_validate(again).model_dump()
     for name in _SAME:
-        for place in _different(known.model_dump()[name], here[name], name):
+        for place in _different(there[name], here[name], name):
             raise _other(place)
     if known.program is None:
         return spec, None

@@ -69,10 +69,7 @@ def subject_content(
 
 
 def output_form(spec: Spec, directions: Any = None) -> NormalForm:
-    """Return the normal form of a spec, for directions of the inputs as a certificate has them, or those of a design.
-
-    Raises ValueError if these are not of its shape.
-    """
+    """Return the normal form of a spec, for a certificate's directions of inputs (ValueError if none) or its own."""
     plant = spec.problem.plant
     if directions is None:
         return spec_form(spec)

@@ -72,10 +72,7 @@ def code_of(message: str, exit_code: ExitCode) -> str:
 
 
 def explanation(code: str) -> str:
-    """Return what a code means.
-
-    Raises:
-        InvalidSpec: If there is none of this name.
+    """Return what a code means; raises InvalidSpec if there is none of this name.
 
     Example:
         >>> print(explanation("p302"))

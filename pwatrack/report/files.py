@@ -98,14 +98,9 @@ def write(
     """Write all files of a design, and those of its run and ensemble; return the folder, which is made.
 
     An earlier run in it is replaced, other files stay; raises InvalidSpec, with nothing changed, if that cannot be.
-
-    Args:
-        found, fronts: What came out, and what `pareto` returned for controller and observer.
-        broken: Why a simulation broke off, if it did.
-        effort, warned: What it took, and whether warnings and margins are told, too: for run.json.
-        summary: For summary.txt.
-        plots, executor: Whether pictures and the page are made, or only if the run does not end as its spec expects;
-            who draws them, but for ensemble.png, in other processes while tables are written.
+    `fronts` are what `pareto` returned, `broken` is why a simulation broke off, `summary` is for summary.txt; for
+    run.json are `effort`, what it took, and, if `warned`, warnings and margins. `plots`: whether pictures and the page
+    are made, or only if the run does not end as its spec expects, by processes of an `executor`, if there is one.
     """
     spec, result = found.spec, found.result
     controller = found.controller if result is None else result.controller

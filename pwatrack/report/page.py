@@ -121,10 +121,10 @@ def escaped(text: str) -> str:
     return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())
 
 
-def image(picture: bytes | str, name: str) -> str:
-    """Return a picture with this name, in the page: a PNG file, or an SVG file as text."""
+def image(picture: bytes | str, name: str, more: str = "") -> str:
+    """Return a picture with this name and `more` attributes, in the page: a PNG file, or an SVG file as text."""
     if isinstance(picture, bytes):
         data = f"png;base64,{base64.b64encode(picture).decode()}"
     else:
         data = f"svg+xml,{quote(' '.join(picture.split()), safe=_PLAIN)}"
-    return f'<img src="data:image/{data}" alt="{escaped(name)}">'
+    return f'<img src="data:image/{data}" alt="{escaped(name)}"{more}>'

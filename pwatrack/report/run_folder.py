@@ -150,10 +150,7 @@ class RunFolder:
 
 @contextmanager
 def run_folder(path: str | Path) -> Iterator[RunFolder]:
-    """Open a run folder; the block ends with `commit`, or leaves the folder as it was.
-
-    Raises:
-        InvalidSpec: If the folder cannot be written.
+    """Open a run folder; the block ends with `commit`, or leaves it as it was. InvalidSpec if it cannot be written.
 
     Example:
         >>> with run_folder("/tmp/pwatrack-example") as run:

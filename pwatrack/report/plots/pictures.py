@@ -23,10 +23,7 @@ _HAIR = 0.5  # points: a stay that is shorter than a dot is seen all the same
 
 
 def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each picture, by its name.
-
-    tracking_error and observer_error are the paper's Figure 2, internal_states its Figure 3, steady_state its Figure 4.
-    """
+    """Return what draws each picture, by its name: of some the paper has one, which they name."""
     of_result = {
         "tracking_error": signals.tracking_error,
         "observer_error": signals.observer_error,
