@@ -321,7 +321,7 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
 def check_same(
     spec: Spec, controller: ProvedController, known: ControllerFile
 ) -> tuple[Spec, SampledController | None]:
-    """Return a spec with gains and sampling of a stored controller, and its program; InvalidSpec if it is of another."""
+    """Return a spec with gains and sampling of a stored controller, and its program; InvalidSpec if it is another's."""
     again = content(spec, controller, proof=known.proof, generator=None, start=None)
     there, here = known.model_dump(), ControllerFile.model_validate(again).model_dump()
     for name in _SAME:

@@ -24,15 +24,7 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.certificate import bound_content, refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
 from pwatrack.report.drawing import Picture, begin, picture
-from pwatrack.report.figures import (
-    design_remarks,
-    ensemble_measures,
-    figure_content,
-    load_content,
-    measures,
-    member_figures,
-    norm_unit,
-)
+from pwatrack.report.figures import ensemble_measures, figure_content, load_content, measures, member_figures, norm_unit
 from pwatrack.report.kept_spec import keep
 from pwatrack.report.page import page
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
@@ -102,11 +94,10 @@ def write(
     run.json are `effort`, what it took, and, if `warned`, warnings and margins. `plots`: whether pictures and the page
     are made, or only if the run does not end as its spec expects, by processes of an `executor`, if there is one.
     """
-    spec, result = found.spec, found.result
-    controller = found.controller if result is None else result.controller
+    spec, controller, result = found.spec, found.controller, found.result
     start = known_start(spec, controller) if result is None else starts(result.loop, result.start)
     index = _index(spec, effort) | proved_content(spec, controller)
-    index |= {"remarks": design_remarks(spec, controller)} if result is None else _result_content(result, index)
+    index |= {"remarks": found.remarks} if result is None else _result_content(result, index)
     if found.many:
         index["ensemble"] = ensemble_measures(found.many)
     if found.missed:

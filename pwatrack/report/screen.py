@@ -102,6 +102,11 @@ class Findings:
         return assessed(self.spec, self.controller)
 
     @property
+    def remarks(self) -> list[str]:
+        """What was noticed and is no promise."""
+        return design_remarks(self.spec, self.controller) if self.result is None else list(self.result.remarks)
+
+    @property
     def not_looked_at(self) -> Iterator[Row]:
         """Whether members of an ensemble are required to keep limits in a run without one."""
         wishes = sum(asked.share is not None for asked in self.spec.requirements)
@@ -124,8 +129,7 @@ def first_rows(found: Findings) -> Iterator[Row]:
     yield from _came_out(found)
     yield from (("warning", text) for text in assessment.warnings)
     yield from (("question", text) for text in assessment.questions)
-    remarks = design_remarks(found.spec, found.controller) if result is None else result.remarks
-    yield from (("remark", text) for text in remarks)
+    yield from (("remark", text) for text in found.remarks)
     yield from rows
     if found.largest is not None:
         yield "largest box", largest_text(found.largest)

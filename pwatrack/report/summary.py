@@ -1,6 +1,6 @@
 """The short text for people: what was found, in the terminal."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,7 @@ from pwatrack.claims.registry import rows
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.control.controller import Row
 from pwatrack.control.words import sized
-from pwatrack.report.figures import (
-    design_remarks,
-    ensemble_measures,
-    load_content,
-    measures,
-    member_figures,
-    norm_unit,
-    percent,
-)
+from pwatrack.report.figures import ensemble_measures, load_content, measures, norm_unit, percent
 from pwatrack.report.parameters import largest_text, run_rows
 from pwatrack.report.run_folder import INDEX, kept_files, read_index
 from pwatrack.report.screen import Findings
@@ -65,8 +57,7 @@ def _all_rows(found: Findings) -> Iterator[Row]:
     yield from (("margins", text) for text in _margin_texts(found))
     if result is not None:
         yield from _result_rows(result)
-    remarks = design_remarks(found.spec, found.controller) if result is None else result.remarks
-    yield from (("remark", remark) for remark in remarks)
+    yield from (("remark", remark) for remark in found.remarks)
 
 
 def _proof_texts(result: SimulatedLoop) -> Iterator[str]:
@@ -170,7 +161,7 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
     for name, label, form in (
         ("largest_error", f"largest error{f' ({unit})' if unit else ''}", ".2e"),
         ("final_error", "… in the last tenth of the time", ".2e"),
-        *_signal_labels(many),
+        *_signal_labels(many, figures),
         ("mode_changes", "mode changes", ".0f"),
     ):
         values = figures[name]
@@ -198,9 +189,9 @@ def _ensemble_rows(many: EnsembleResult, figures: Mapping[str, Any]) -> Iterator
         yield "", many.failure
 
 
-def _signal_labels(many: EnsembleResult) -> Iterator[tuple[str, str, str]]:
+def _signal_labels(many: EnsembleResult, figures: Iterable[str]) -> Iterator[tuple[str, str, str]]:
     units = many.nominal.spec.problem.units
-    for name in member_figures(many):
+    for name in figures:
         if name.startswith("settling_time_"):
             yield name, f"settling time of {name.removeprefix('settling_time_')} (s)", ".4g"
         elif name.startswith("largest_input_"):

@@ -16,7 +16,7 @@ from pwatrack.model.contact import Contact
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem, linear_form_text
-from pwatrack.report.plots.canvas import ACTUAL, DESIRED, ESTIMATE, label, plain, png, sheet
+from pwatrack.report.plots.canvas import LOOK, label, plain, png, sheet
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.spec.spec import Spec
 
@@ -25,7 +25,7 @@ _BEYOND = 0.25  # of what is to be seen, on either side of it
 _LETTERS = 48  # in a line above a panel, of two beside each other: 8 points each
 _LINE = 0.15  # inches of such a line
 _PANEL = 1.9  # inches
-_STYLES = ACTUAL, DESIRED, ESTIMATE  # of a contact at rest, closing and leaving
+_STYLES = LOOK["actual"], LOOK["desired"], LOOK["estimate"]  # of a contact at rest, closing and leaving
 _POINTS = 400  # of its curves
 
 
@@ -88,7 +88,7 @@ def _draw(
             axes.plot(fine, [element(float(s), rate) for s in fine], label=said, **style)
         axes.legend(fontsize=7, frameon=False)
     else:
-        axes.plot(points, [element.function(s) for s in points], **ACTUAL)
+        axes.plot(points, [element.function(s) for s in points], **LOOK["actual"])
     form, constant = linear_form_text(of.row, plant.states), of.constant
     form += f" {'-' if constant < 0 else '+'} {abs(constant):.6g}" if constant else ""
     text = f"{'' if form == 's' else 's = '}{form}{f' ({unit})' if unit else ''}"
