@@ -260,14 +260,15 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
     Raises OutsideTheory or CheckFailed for what is not made in whole numbers, or not proved.
     """
     program, ranges = code.program, next(iter(controller.claims_of(ProgramRanges)), None)
-    if not program.sampling.corrects:
-        raise OutsideTheory(f"{NOT_KNOWN}the program is emulated, and nothing is proved of it", hint=_OTHER)
-    if len(program.pace):
-        raise OutsideTheory(f"{NOT_KNOWN}it makes y_d of set-points, whose ranges are not known", hint=_OTHER)
-    bounds = next(iter(controller.claims_of(SampledBounds)), None)
-    if bounds is not None and bounds.errors.estimates is not None:
-        message = f"{NOT_KNOWN}x_d or u_ff depend on estimates that are no constants at inputs"
-        raise OutsideTheory(message, hint=_OTHER)
+    estimated = any(bounds.errors.estimates is not None for bounds in controller.claims_of(SampledBounds))
+    outside = {
+        "the program is emulated, and nothing is proved of it": not program.sampling.corrects,
+        "it makes y_d of set-points, whose ranges are not known": len(program.pace) > 0,
+        "x_d or u_ff depend on estimates that are no constants at inputs": estimated,
+    }
+    for why, so in outside.items():
+        if so:
+            raise OutsideTheory(NOT_KNOWN + why, hint=_OTHER)
     if ranges is None:
         message = f"{NOT_KNOWN}between what its numbers are is not proved: see 'sampled loop' of the design"
         raise CheckFailed(message, hint=_OTHER)

@@ -214,7 +214,10 @@ def excerpt(place: Place, message: str) -> list[str]:
         line = text.split("\n")[place.line - 1].rstrip("\r").expandtabs(1)
     except (OSError, ValueError, IndexError, PwatrackError):
         return []
-    first, length = _meant(line, place.column - 1, message)
+    first, length = min(max(place.column - 1, 0), len(line)), 1
+    quoted = re.search(r"'([^']{1,60})'", message)
+    if quoted and (found := re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(place.column - 1, 0))):
+        first, length = found.start(), len(quoted[1])
     start = max(0, min(first - _WIDEST // 2, len(line) - _WIDEST))
     before, shown = "… " if start else "", line[start : start + _WIDEST]
     margin = f"{place.line:5} | "
@@ -226,14 +229,6 @@ def _bytes(path: Path) -> bytes:
     if not path.is_file() or path.stat().st_size > _LARGEST:
         raise ValueError("it is not looked into")
     return path.read_bytes()
-
-
-def _meant(line: str, first: int, message: str) -> tuple[int, int]:
-    """Return where in a line that is what a message is about, and how long it is."""
-    quoted = re.search(r"'([^']{1,60})'", message)
-    if quoted and (found := re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(first, 0))):
-        return found.start(), len(quoted[1])
-    return min(max(first, 0), len(line)), 1
 
 
 def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], str] = str) -> str:
