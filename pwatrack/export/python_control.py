@@ -38,8 +38,7 @@ def plant_system(controller: ProvedController, name: str, units: Mapping[str, st
         return np.asarray(C @ x)
 
     inputs = [*plant.inputs, *(() if loads is None else loads.names)]
-    labels = {"name": name, "inputs": inputs, "outputs": list(names), "states": list(plant.states)}
-    return _system(rate, output, units, start, **labels)
+    return _system(rate, output, units, start, name=name, inputs=inputs, outputs=list(names), states=list(plant.states))
 
 
 def controller_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
@@ -80,8 +79,7 @@ def controller_system(controller: ProvedController, name: str, units: Mapping[st
     hats = [f"{state}_hat" for state in plant.states]
     outputs = [*plant.inputs, *hats, *(f"{state}_d" for state in plant.states)]
     states = [*hats, *(f"s_hat_{k}" for k in range(N - n)), *(f"eta_hat_{k}" for k in range(p))]
-    labels = {"name": name, "inputs": list(plant.outputs), "outputs": outputs, "states": states}
-    return _system(rate, output, units, start, **labels)
+    return _system(rate, output, units, start, name=name, inputs=list(plant.outputs), outputs=outputs, states=states)
 
 
 def loop_system(plant: Any, controller: Any, name: str) -> Any:

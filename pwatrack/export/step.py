@@ -215,12 +215,17 @@ class _Worked:
 
     def text(self, name: str) -> str:
         """Return a function in the notation."""
-        lines, _ = self.statements(self.functions[name].body[1:], dict(self.constants))
+        lines = self.block(self.functions[name].body[1:], self.constants)
         return ast.unparse(ast.fix_missing_locations(ast.Module(lines, [])))
 
-    def statements(self, body: Iterable[ast.stmt], known: dict[str, Any]) -> tuple[list[ast.stmt], ast.expr | None]:
-        """Return what is left of statements, and what they return."""
+    def block(self, body: Iterable[ast.stmt], known: dict[str, Any]) -> list[ast.stmt]:
+        """Return what is left of statements by themselves."""
         found = list[ast.stmt]()
+        self.statements(body, dict(known), found)
+        return found
+
+    def statements(self, body: Iterable[ast.stmt], known: dict[str, Any], found: list[ast.stmt]) -> ast.expr | None:
+        """Write what is left of statements, and return what they return."""
         for node in body:
             match node:
                 case ast.Expr(value=ast.Constant(value=str(text))):
@@ -228,27 +233,26 @@ class _Worked:
                 case ast.Expr(value=ast.Call() as call):
                     self.value(call, known, found)
                 case ast.Return(value=ast.expr() as value):
-                    return found, self.value(value, known, found)
+                    return self.value(value, known, found)
                 case ast.Assign([target], value) | ast.AnnAssign(target=target, value=ast.expr() as value):
                     self.assign(target, value, known, found)
                 case ast.For(target=ast.Name(id=index), iter=ast.Call(args=args)):
                     numbers = range(*(self.decided(arg, known) for arg in args))
                     if index not in self.variables:
                         for number in numbers:
-                            found += self.statements(node.body, known | {index: number})[0]
+                            self.statements(node.body, known | {index: number}, found)
                     elif numbers:
                         bounds: list[ast.expr] = [ast.Constant(numbers.start), ast.Constant(numbers.stop)]
-                        inner, _ = self.statements(node.body, dict(known))
-                        found.append(ast.For(ast.Name(index), ast.Call(ast.Name("range"), bounds, []), inner, []))
+                        counted = ast.Call(ast.Name("range"), bounds, [])
+                        found.append(ast.For(ast.Name(index), counted, self.block(node.body, known), []))
                 case ast.If(body=[ast.Break()]):
                     pass
                 case ast.If():
-                    result = self.branch(node, known, found)
-                    if result is not None:
-                        return found, result
+                    if (result := self.branch(node, known, found)) is not None:
+                        return result
                 case _:
                     raise ValueError(f"not a part of the statement: {ast.unparse(node)}")
-        return found, None
+        return None
 
     def branch(self, node: ast.If, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr | None:
         """Write the branches that there are, and return what the one that is taken returns."""
@@ -258,15 +262,11 @@ class _Worked:
             if decided is None:
                 parts.append(self.value(part, known, found))
             elif not decided:
-                lines, result = self.statements(node.orelse, known)
-                found += lines
-                return result
+                return self.statements(node.orelse, known, found)
         if not parts:
-            lines, result = self.statements(node.body, known)
-            found += lines
-            return result
+            return self.statements(node.body, known, found)
         left = parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), parts)
-        found.append(ast.If(left, *[self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]))
+        found.append(ast.If(left, *(self.block(each, known) for each in (node.body, node.orelse))))
         return None
 
     def assign(self, target: ast.expr, value: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> None:
@@ -332,8 +332,7 @@ class _Worked:
         """Write what a function does, and return what it returns."""
         names = {arg.arg: value for arg, value in zip(function.args.args, args, strict=True)}
         body = [_Named(names).visit(deepcopy(node)) for node in function.body[1:]]
-        lines, result = self.statements(body, dict(known))
-        found += lines
+        result = self.statements(body, dict(known), found)
         return ast.Constant(None) if result is None else result
 
     def place(self, of: str, index: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr:

@@ -205,22 +205,21 @@ def _called(source: Source) -> Names:
         return f", in {said(text)}" if text else ""
 
     def signals(which: Literal["y", "u"], labels: Iterable[str], what: str) -> tuple[Port, ...]:
-        ports = []
+        ports = list[Port]()
         for k, label in enumerate(labels):
             called = legal(label, taken)
-            other = "" if called == label else f"; {said(label)} in the spec"
-            ports.append(Port(called, (which, k), what + unit(plant.units.get(label, "")) + other))
+            also = "" if called == label else f"; {said(label)} in the spec"
+            ports.append(Port(called, (which, k), what + units[label] + also))
         return tuple(ports)
 
+    units = {label: unit(plant.units.get(label, "")) for label in (*plant.outputs, *plant.inputs)}
     y, u = signals("y", plant.outputs, "measured"), signals("u", plant.inputs, "to be put out now")
     given = tuple(
         Port(legal(f"ref_{w}", taken), ("given", k), f"reference: {said(w)}{unit(reference_unit(w, plant.units))}")
         for k, w in enumerate(source.program.given)
     )
     wanted = tuple(
-        Port(
-            legal(f"{one.called}_wanted", taken), ("wanted", k), "before its limits" + unit(plant.units.get(label, ""))
-        )
+        Port(legal(f"{one.called}_wanted", taken), ("wanted", k), "before its limits" + units[label])
         for k, (one, label) in enumerate(zip(u, plant.inputs, strict=True))
     )
     variables = (variable.name for variable in (*found.kept, *found.own))
