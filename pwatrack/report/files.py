@@ -30,7 +30,7 @@ from pwatrack.report.page import page
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import PAGE, REFUSAL, SUMMARY, Plots, RunFolder, run_folder
-from pwatrack.report.screen import Findings, first_rows
+from pwatrack.report.screen import Findings
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.layout import Actuator, RateLimit
@@ -114,8 +114,7 @@ def write(
             wanted = plots == "all" or (plots == "failed" and index["exit"] != spec.expected_exit)
             pictures = _run_files(run, found, result, executor, drawn=wanted)
             if wanted:
-                first = list(first_rows(found))
-                run.text(PAGE, page(result, first, pictures, certificate=certificate, summary=summary))
+                run.text(PAGE, page(found, pictures, certificate=certificate, summary=summary))
         if warned:
             index |= {"warnings": list(found.assessment.warnings), "questions": list(found.assessment.questions)}
             index["margins"] = [_margin_content(one) for one in found.assessment.margins]
