@@ -95,7 +95,6 @@ def write(
     are made, or only if the run does not end as its spec expects, by processes of an `executor`, if there is one.
     """
     spec, controller, result = found.spec, found.controller, found.result
-    start = known_start(spec, controller) if result is None else starts(result.loop, result.start)
     index = _index(spec, effort) | proved_content(spec, controller)
     index |= {"remarks": found.remarks} if result is None else _result_content(result, index)
     if found.many:
@@ -107,7 +106,7 @@ def write(
     said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
     why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
     with run_folder(folder) as run:
-        certificate = _design_files(run, spec, controller, start, [*found.missed, *why])
+        certificate = _design_files(run, found, [*found.missed, *why])
         if fronts:
             _fronts(run, spec, fronts)
         if result is not None:
@@ -162,10 +161,10 @@ def _result_content(result: SimulatedLoop, proved: Mapping[str, Any]) -> dict[st
     return content
 
 
-def _design_files(
-    run: RunFolder, spec: Spec, controller: ProvedController, start: dict[str, Any] | None, failed: Sequence[str]
-) -> str:
+def _design_files(run: RunFolder, found: Findings, failed: Sequence[str]) -> str:
     """Write what a design leaves, and return the text of certificate.json."""
+    spec, controller, result = found.spec, found.controller, found.result
+    start = known_start(spec, controller) if result is None else starts(result.loop, result.start)
     keep(run, spec)
     costs = {role.name: X for claim in controller.claims_of(Costs) for role, X in claim.X.items()}
     run.json("gains.json", gain_content(controller.design.K, controller.design.L, costs))
