@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.requirement import RANGES
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.outcome import SimulatedLoop
-from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 _OF_STEADY_STATE = ("largest_multiplier", "steady_state_residual")
@@ -106,11 +103,6 @@ def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:
         }
         for k, load in enumerate(() if loads is None else loads.each)
     }
-
-
-def design_remarks(spec: Spec, controller: ProvedController) -> list[str]:
-    """Return what was noticed of a design and is no promise."""
-    return [*controller.plant.remarks, *reference_remarks(spec, controller.form), *sampling_remarks(controller)]
 
 
 def norm_unit(spec: Spec, names: Sequence[str]) -> str:

@@ -21,18 +21,20 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBox
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController, Row
-from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, norm_unit, percent
+from pwatrack.report.figures import SIMULATED, ensemble_measures, norm_unit, percent
 from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import SUMMARY, kept_files, read_index
 from pwatrack.report.terminal import visible
 from pwatrack.simulation.figures import ERRORS
 from pwatrack.simulation.margins import worst
+from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import covered, tube_bounds
 from pwatrack.workflow.cautions import Assessment, assessed
 from pwatrack.workflow.how_far import LargestBox
 from pwatrack.workflow.outcome import SimulatedLoop
+from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 LINES, COLUMNS = 10, 80  # of the first screen
@@ -104,7 +106,10 @@ class Findings:
     @property
     def remarks(self) -> list[str]:
         """What was noticed and is no promise."""
-        return design_remarks(self.spec, self.controller) if self.result is None else list(self.result.remarks)
+        if self.result is not None:
+            return list(self.result.remarks)
+        of_reference = reference_remarks(self.spec, self.controller.form)
+        return [*self.controller.plant.remarks, *of_reference, *sampling_remarks(self.controller)]
 
     @property
     def not_looked_at(self) -> Iterator[Row]:
