@@ -10,12 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from textwrap import indent
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from pwatrack.export.source import Source, Vector
+from typing import Literal
 
 Numbers = Literal["float64", "float32", "int32"]
 
@@ -207,9 +203,9 @@ class Target:
     numbers: tuple[Numbers, ...] = ("float64", "float32")  # what it may compute in
 
     @property
-    def write(self) -> Callable[["Source", "Vector", Path], list[str]]:
-        """What writes a controller to a folder, with what it reads in a test, and returns the names of the files."""
-        found: Callable[[Source, Vector, Path], list[str]] = import_module(f"pwatrack.export.{self.module}").write
+    def write(self) -> Callable[..., list[str]]:
+        """What writes a `Source`, and the `Vector` it reads in a test, to a folder, and returns the names of files."""
+        found: Callable[..., list[str]] = import_module(f"pwatrack.export.{self.module}").write
         return found
 
 
