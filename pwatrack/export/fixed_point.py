@@ -13,7 +13,7 @@ counts as no number. Of what is stepped T is by how much it changes, which small
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -150,14 +150,8 @@ class FixedPoint:
         own = tuple(replace(each, kind="wide") if each.name in _WIDE else each for each in made.own)
         kinds = {name: kind for name, (kind, _) in constants.items()} | dict.fromkeys(("y", "u", "given"), "real")
         text = WholeNumbers(shifts, kinds | {each.name: each.kind for each in (*made.kept, *own)}, len(self.units["u"]))
-        return replace(
-            made,
-            constants=constants,
-            own=own,
-            body=text.of(made.body),
-            begin=text.of(made.begin),
-            hold=text.of(made.hold),
-        )
+        read: Any = {part: text.of(getattr(made, part)) for part in ("body", "begin", "hold")}
+        return replace(made, constants=constants, own=own, **read)
 
     def off(self, table: str, sizes: Array) -> Array:
         """Return by how much rounding the entries of a table moves its rows on what is so large, in units, at most."""
