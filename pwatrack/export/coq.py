@@ -150,10 +150,10 @@ def _all_cells(content: Any) -> AuditedPlant:
 
 
 def _cells(plant: AuditedPlant) -> list[Cell]:
-    found = list[Cell]()
     if plant.elements is None:
         each = [zip(signs, plant.cells.planes, strict=True) for signs in plant.cells.signs]
         return [[([s * v for v in plane[:-1]], s * plane[-1]) for s, plane in planes if s] for planes in each]
+    found = list[Cell]()
     for i in range(plant.count):  # where the argument of each element is in one of its segments
         cell: Cell = []
         for element, k in zip(plant.elements.each, plant.elements.segments(i), strict=True):
