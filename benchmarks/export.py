@@ -137,7 +137,7 @@ def subject(spec: Spec, steps: int) -> Subject:
     conditions = replace(conditions, sampling=sampling)
     spec = replace(spec, scenario=replace(spec.scenario, conditions=conditions, duration=float(last), sample_time=h))
     result = pipeline.simulate(spec, made)
-    file, at = parsed(written(spec, made, starts(result)).controller, spec.path), result.loop.at
+    file, at = parsed(written(spec, made, starts(result.loop, result.start)).controller, spec.path), result.loop.at
     blocks = [block.trace.z for block in result.blocks()]
     y = np.concatenate([z[:, at.y] for z in blocks])
     parts = (at.u, at.x_hat, at.s_hat, at.eta_hat)

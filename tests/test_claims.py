@@ -131,9 +131,9 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         rows += [(False, "check", can_be_designed(report, "", refused=refused)) for refused in (False, True)]
         controller = design(spec, growing=True)
         result = simulate(spec, controller)
-        summary.print_design(console, Findings(spec=spec, controller=controller))
+        summary.print_all(console, Findings(spec=spec, controller=controller))
         found = Findings(spec=spec, controller=controller, result=result)
-        summary.print_result(console, found)
+        summary.print_all(console, found)
         rows += [(False, label, text) for label, text in first_rows(found)]
         rows += [(False, "uncertain", said) for said in run_rows(replace(result, w=None))]  # as if that took too long
         if path.stem in ("state", "cart"):

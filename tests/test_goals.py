@@ -40,7 +40,7 @@ from pwatrack.model.sizes import Sizes
 from pwatrack.rational import decimals, identity, is_hurwitz, is_positive_definite, scalar
 from pwatrack.report.certificate import refusal_certificate
 from pwatrack.report.screen import Findings
-from pwatrack.report.summary import print_design
+from pwatrack.report.summary import print_all
 from tests.plants import random_plant
 
 seeds = st.integers(0, 10_000)
@@ -469,7 +469,7 @@ def said(text: str, tmp_path: Path) -> str:
     path.write_text(text)
     spec = load_spec(path)
     printed = StringIO()
-    print_design(Console(width=200, file=printed), Findings(spec=spec, controller=design(spec)))
+    print_all(Console(width=200, file=printed), Findings(spec=spec, controller=design(spec)))
     return " ".join(printed.getvalue().split())
 
 

@@ -26,7 +26,7 @@ from pwatrack.model.simplification import Simplification, merges, scalar_form
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.certificate import design_certificate
 from pwatrack.report.screen import Findings
-from pwatrack.report.summary import print_design
+from pwatrack.report.summary import print_all
 from pwatrack.simulation.closed_loop import closed_loop
 from tests.gaps import plant_with_gaps, practical_controller, worst_found
 from tests.promises import run as run_loop
@@ -156,7 +156,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     assert bound > 0.1  # the gap
     assert bool(asked.claim(Practical).beyond) is not worth
     console = Console(file=StringIO(), width=300)
-    print_design(console, Findings(spec=load_spec(written("practical")), controller=asked))
+    print_all(console, Findings(spec=load_spec(written("practical")), controller=asked))
     first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
     assert (f"{up(bound)}, larger than the reference, proved for every start" in first) is not worth, first
     if worth:
@@ -391,7 +391,7 @@ def test_beside_an_estimated_load_it_is_within_its_bound_and_no_error_is_said_to
     assert result.verdict == "within its bound"
     assert 0 < result.final_error < practical.final["output", 0]
     printed = StringIO()
-    print_design(Console(width=200, file=printed), Findings(spec=result.spec, controller=result.controller))
+    print_all(Console(width=200, file=printed), Findings(spec=result.spec, controller=result.controller))
     said = printed.getvalue()
     assert "drag (constant): estimated and compensated; errors end below the bounds said here" in said
     assert "go to 0" not in said

@@ -41,7 +41,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
 from pwatrack.report.parameters import box_figures
 from pwatrack.report.screen import Findings
-from pwatrack.report.summary import print_design
+from pwatrack.report.summary import print_all
 from pwatrack.simulation import stable_inversion as preview_module
 from pwatrack.simulation.acting import acting
 from pwatrack.simulation.stable_inversion import bounded_solution, played_back
@@ -505,7 +505,7 @@ def test_what_is_played_back_is_no_more_than_what_bounds_of_signals_say_of_it(
     said = "each signal is in the end at most the sum of these, beside what is played back, in proportion to what acts"
     assert said in next(result.controller.claim(SignalBounds).rows(result.spec.words, result.controller))[1]
     console = Console(file=StringIO(), width=300)
-    print_design(console, Findings(spec=result.spec, controller=result.controller))
+    print_all(console, Findings(spec=result.spec, controller=result.controller))
     printed = console.file.getvalue()  # type: ignore[attr-defined]
     assert "from every start y − y_d and x − x_d go to what is played back leaves of it at least as fast" in printed
 

@@ -25,7 +25,7 @@ from pwatrack.model.cells import Partition
 from pwatrack.model.pwa import PWASystem
 from pwatrack.real import Real
 from pwatrack.report.screen import Findings
-from pwatrack.report.summary import print_design
+from pwatrack.report.summary import print_all
 from pwatrack.simulation.closed_loop import ClosedLoop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.spec.spec import InitialStates, Spec
@@ -224,7 +224,7 @@ def test_where_there_are_too_many_cells_nothing_is_claimed(
     monkeypatch.setattr("pwatrack.control.bounds.MOST_WORK", 1)
     controller = design(paper_spec)
     assert all(not bounds.sizes and not bounds.parts for bounds in controller.claim(SignalBounds).acting)
-    print_design(Console(width=200), Findings(spec=paper_spec, controller=controller))
+    print_all(Console(width=200), Findings(spec=paper_spec, controller=controller))
     assert capsys.readouterr().out.count("no bound proved") == 6
 
 

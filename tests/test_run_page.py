@@ -20,6 +20,7 @@ from pwatrack.report.files import write_result
 from pwatrack.report.page import page as page_of
 from pwatrack.report.plots.canvas import png, svg
 from pwatrack.report.plots.pictures import pictures
+from pwatrack.report.screen import Findings
 from tests.test_page import BROWSER, Noted, browse
 
 ATTACK = "<script>alert(1)</script>\"'&"
@@ -149,7 +150,8 @@ def test_each_claim_unfolds_to_its_statement_and_the_numbers_of_the_certificate(
 def test_what_the_certificate_does_not_prove_has_no_statement(result: Result, run: Path) -> None:
     content = json.loads((run / "certificate.json").read_text())
     for bounds in (content["bounds"], list[Any]()):
-        page = Page(page_of(result, [], {}, certificate=json.dumps(content | {"bounds": bounds})))
+        found = Findings(spec=result.spec, controller=result.controller, result=result)
+        page = Page(page_of(found, {}, certificate=json.dumps(content | {"bounds": bounds})))
         assert any(SignalBounds.statement in text for text in page.texts["details"]) == bool(bounds)
 
 

@@ -32,7 +32,7 @@ from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.files import write_design
 from pwatrack.report.screen import Findings
-from pwatrack.report.summary import print_design
+from pwatrack.report.summary import print_all
 from pwatrack.simulation.closed_loop import closed_loop
 from pwatrack.simulation.propagate import simulate_flow
 from pwatrack.workflow.headroom import room_within_limits
@@ -445,7 +445,7 @@ def test_a_gain_that_keeps_its_limits_anyway_is_the_regulator(tmp_path: Path) ->
 def summary(spec: Spec, controller: ProvedController) -> str:
     """All that is said of a design, in one line."""
     printed = StringIO()
-    print_design(Console(width=200, file=printed), Findings(spec=spec, controller=controller))
+    print_all(Console(width=200, file=printed), Findings(spec=spec, controller=controller))
     return " ".join(printed.getvalue().split())
 
 

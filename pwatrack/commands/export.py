@@ -185,7 +185,8 @@ def _simulated(
     last = min(steps * h, np.inf if end is None else end)
     short = replace(spec, scenario=replace(spec.scenario, duration=float(last), sample_time=h))
     result = pipeline.simulate(short, controller, runs)
-    z, at, made = result.response.trace.z, result.loop.at, written(spec, result.controller, starts(result))
+    z, at = result.response.trace.z, result.loop.at
+    made = written(spec, result.controller, starts(result.loop, result.start))
     file = parsed(made.controller, spec.path)
     y, t = z[:steps, at.y], h * np.arange(min(steps, len(z)))
     w = _outside(controller, file, t) if given else np.zeros((len(y), 0))

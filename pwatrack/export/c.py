@@ -44,12 +44,14 @@ def write(source: Source, vector: Vector, out: Path) -> list[str]:
 def header(source: Source) -> str:
     """Return the header."""
     of, (state, constants) = source.program.sizes, _bytes(source)
-    multiplications, additions, comparisons = _operations(source.step)
+    found = source.step
+    reals = {"y", "u", "given", *(name for name, (kind, _) in found.constants.items() if kind == "real")}
+    counts = most(found.body, reals | {v.name for v in (*found.kept, *found.own) if v.kind in ("real", "wide")})
     sizes = (
         f"State        {state} bytes",
         f"Constants    {constants} bytes",
-        f"One step     at most {multiplications} products, quotients and roots, {additions} sums,"
-        f" {comparisons} comparisons of {'floats' if source.whole is None else 'whole numbers'}",
+        f"One step     at most {counts['*'] + counts['/']} products, quotients and roots, {counts['+'] + counts['-']} "
+        f"sums, {counts['<']} comparisons of {'floats' if source.whole is None else 'whole numbers'}",
     )
     about = source.about(sizes, "made inside; NULL will do")
     values = {
@@ -61,9 +63,9 @@ def header(source: Source) -> str:
         "s": len(source.program.given),
         "state_bytes": state,
         "constant_bytes": constants,
-        "real": _real(source),
+        "real": "int32_t" if source.whole is not None else "float" if source.single else "double",
         "units": _units(source),
-        "refused": _refused(source),
+        "refused": "not finite" if source.whole is None else "out of range",
         "lines": "\n".join(f"    {_declared(source, variable)}" for variable in _state(source.step)),
     }
     return template("c_header.h", **values)
@@ -103,16 +105,7 @@ def code(source: Source) -> str:
     return template("c_source.c", **values)
 
 
-def _real(source: Source) -> str:
-    return "int32_t" if source.whole is not None else "float" if source.single else "double"
-
-
-def _refused(source: Source) -> str:
-    return "not finite" if source.whole is None else "out of range"
-
-
 def _units(source: Source) -> str:
-    """Return macros of what 1 of a signal is."""
     if source.whole is None:
         return ""
     plant = source.file.plant
@@ -163,12 +156,6 @@ def _bytes(source: Source) -> tuple[int, int]:
     return -(-state // real) * real, sum(v.size * widths[kind] for kind, v in source.step.constants.values())
 
 
-def _operations(found: Step) -> tuple[int, int, int]:
-    reals = {"y", "u", "given", *(name for name, (kind, _) in found.constants.items() if kind == "real")}
-    counts = most(found.body, reals | {v.name for v in (*found.kept, *found.own) if v.kind in ("real", "wide")})
-    return counts["*"] + counts["/"], counts["+"] + counts["-"], counts["<"]
-
-
 def _types(source: Source) -> dict[Kind, str]:
     return {"real": f"{source.name}_real", "wide": "int64_t", "whole": "int32_t", "side": "int8_t", "flag": "uint32_t"}
 
@@ -216,8 +203,7 @@ def _language(source: Source) -> Language:
 
 def _constant(source: Source, name: str) -> str:
     kind, values = source.step.constants[name]
-    rows = str(values.tolist()).replace("[", "{").replace("]", "}")
-    rows = (initialiser(values, single=source.single) if kind == "real" else rows).replace("}, {", "},\n    {")
+    rows = initialiser(values, single=source.single).replace("}, {", "},\n    {")
     return f"static const {_types(source)[kind]} {name}{_shape(values)} =\n    {rows};"
 
 
@@ -259,6 +245,6 @@ def _advice(source: Source, vector: Vector) -> dict[str, object]:
         "late": f", and that it is put out {late} samples late" if late else "",
         "first": source.routine.at.x_hat,
         "vector": vector.origin,
-        "refused": _refused(source),
+        "refused": "not finite" if source.whole is None else "out of range",
         "every_bit": _FLOATS if source.whole is None else _WHOLE,
     }

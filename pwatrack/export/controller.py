@@ -158,7 +158,7 @@ class Controller:
         plant, of = self.file.plant, self._programs[given]
         inputs = [*plant.outputs, *(f"{w}_ref" for w in of.given)]
         labels = {"name": prefix(self.file.name), "inputs": inputs, "outputs": plant.inputs}
-        return sampled_system(of, *self.file.started, self._real, plant.units, **labels)
+        return sampled_system(of, self.file.started, self._real, plant.units, **labels)
 
     def _prepare(self, given: bool) -> None:
         program, real = self._programs[given], self._real

@@ -5,7 +5,7 @@ affine loops, and what is left to computation. A run adds its numbers, as whole 
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from fractions import Fraction
 from importlib.resources import files
 from itertools import chain
@@ -17,7 +17,6 @@ import flint
 
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.source import template
-from pwatrack.lmi.audit.elements import Elements
 from pwatrack.lmi.audit.form import normal_form
 from pwatrack.lmi.audit.matrices import Matrix, product
 from pwatrack.lmi.audit.plant import AuditedPlant, at_centres
@@ -105,14 +104,16 @@ def _run(content: Any, name: str) -> str:
 
 
 def _proofs(content: Any) -> list[Any]:
-    """Return the proofs of controller, observer, and generator, where that has one."""
+    """Return the proofs of controller, observer, and generator, where it has one, by a quadratic form: the fastest."""
     if refuses(content):
         raise InvalidSpec("it proves that something is impossible: there is no loop to prove anything of")
-    found = {of: _best(content["proofs"], of) for of in ("controller", "observer", "generator")}
-    for of in ("controller", "observer"):
-        if found[of] is None:
+    found = list[Any]()
+    for of in ("controller", "observer", "generator"):
+        known = [p for p in content["proofs"] if p["of"] == of and kind(p) == "common P" and number(p["rate"]) > 0]
+        if not known and of != "generator":
             raise InvalidSpec(f"the {of} is not proved by a quadratic form at a rate, of which alone the theory speaks")
-    return list(found.values())
+        found.append(max(known, key=lambda proof: number(proof["rate"]), default=None))
+    return found
 
 
 def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:
@@ -125,7 +126,9 @@ def _generator(plant: AuditedPlant, content: Any) -> tuple[list[Matrix], Any]:
 
 def _numbers(plant: AuditedPlant, content: Any, shift: Any) -> dict[str, tuple[str, Any]]:
     last, loads = -plant.count, plant.loads[1][0] if plant.loads is not None else []
-    L = matrix(content["L"])
+    L, G = matrix(content["L"]), list[Any]()
+    if shift is not None and any(map(any, shift[0])):  # (3): loads move x_d by X s_hat, s_hat' = S s_hat + L_s C (…)
+        G = product(shift[0], product(L[len(plant.B[0]) :], plant.seen_C[0]))
     return {
         "A": ("slopes of the field, cell by cell", [X for X, _ in plant.seen_A[last:]]),
         "b": ("its constants", [[v for row in b for v in row] for b, _ in plant.b[last:]]),
@@ -134,7 +137,7 @@ def _numbers(plant: AuditedPlant, content: Any, shift: Any) -> dict[str, tuple[s
         "C": ("what is measured", plant.seen_C[0]),
         "K": ("feedback", matrix(content["K"])),
         "L": ("observer", L),
-        "G": ("what errors of estimated loads move x_d by", _moved(shift, plant, L)),
+        "G": ("what errors of estimated loads move x_d by", G),
     }
 
 
@@ -147,35 +150,20 @@ def _all_cells(content: Any) -> AuditedPlant:
 
 
 def _cells(plant: AuditedPlant) -> list[Cell]:
-    if plant.elements is not None:
-        return [_between(plant.elements, plant.elements.segments(i)) for i in range(plant.count)]
-    each = [zip(signs, plant.cells.planes, strict=True) for signs in plant.cells.signs]
-    return [[([s * v for v in plane[:-1]], s * plane[-1]) for s, plane in planes if s] for planes in each]
-
-
-def _between(elements: Elements, segments: Sequence[int]) -> Cell:
-    """Return where the argument of each element is in one of its segments."""
-    found: Cell = []
-    for element, k in zip(elements.each, segments, strict=True):
-        marks = element.function.breakpoints
-        if k > 0:
-            found.append((element.row, element.constant - marks[k - 1]))
-        if k < len(marks):
-            found.append(([-v for v in element.row], marks[k] - element.constant))
+    if plant.elements is None:
+        each = [zip(signs, plant.cells.planes, strict=True) for signs in plant.cells.signs]
+        return [[([s * v for v in plane[:-1]], s * plane[-1]) for s, plane in planes if s] for planes in each]
+    found = list[Cell]()
+    for i in range(plant.count):  # where the argument of each element is in one of its segments
+        cell: Cell = []
+        for element, k in zip(plant.elements.each, plant.elements.segments(i), strict=True):
+            marks = element.function.breakpoints
+            if k > 0:
+                cell.append((element.row, element.constant - marks[k - 1]))
+            if k < len(marks):
+                cell.append(([-v for v in element.row], marks[k] - element.constant))
+        found.append(cell)
     return found
-
-
-def _moved(shift: Any, plant: AuditedPlant, L: Matrix) -> Matrix:
-    """Return G of (3): loads move x_d by X s_hat, and s_hat' = S s_hat + L_s C (x_hat - x)."""
-    if shift is None or not any(map(any, shift[0])):
-        return []
-    return product(shift[0], product(L[len(plant.B[0]) :], plant.seen_C[0]))
-
-
-def _best(proofs: Any, of: str) -> Any:
-    """Return the proof by a quadratic form with the largest rate, above 0; None if there is none."""
-    known = [p for p in proofs if p["of"] == of and kind(p) == "common P" and number(p["rate"]) > 0]
-    return max(known, key=lambda proof: number(proof["rate"]), default=None)
 
 
 def _form(proof: Any) -> list[list[int]]:
@@ -189,9 +177,8 @@ def _form(proof: Any) -> list[list[int]]:
 def inverse(P: list[list[int]]) -> tuple[list[list[int]], int]:
     """Return W and d > 0 with P W = d I, all whole numbers, of P > 0."""
     inverse: Any = flint.fmpz_mat(P).inv()
-    entries = [[Fraction(int(v.p), int(v.q)) for v in row] for row in inverse.tolist()]
-    d = lcm(*(v.denominator for v in _flat(entries)))
-    return _scaled(entries, d), d
+    W, d = inverse.numer_denom()
+    return [[int(v) for v in row] for row in W.tolist()], int(d)
 
 
 def _definition(symbol: str, value: Any) -> str:

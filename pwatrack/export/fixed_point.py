@@ -13,6 +13,7 @@ counts as no number. Of what is stepped T is by how much it changes, which small
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -58,17 +59,14 @@ def unit_of(largest: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class FixedPoint:
-    """A program in whole numbers.
+    """A program in whole numbers."""
 
-    Attributes:
-        program: In floats.
-        units: What 1 is of y, u, x_hat, s_hat, eta_hat and w, of planes of the cells of x̂ and guards of those of x_d.
-        starts: What x̂ with ŝ, η̂ and w start with, in floats: `start_x_hat`, `start_eta_hat`, `start_w`.
-    """
+    program: SampledController  # in floats
+    units: Mapping[str, Array]  # what 1 is of y, u, x_hat, s_hat, eta_hat, w, planes of x̂, guards of x_d
+    starts: Mapping[str, Array]  # of x̂ with ŝ, η̂ and w, in floats: `start_x_hat`, `start_eta_hat`, `start_w`
 
-    program: SampledController
-    units: Mapping[str, Array]
-    starts: Mapping[str, Array]
+    one: ClassVar = float(ONE)  # what stands for 1 beside numbers
+    largest: ClassVar = FULL - 1.0  # number that counts, in units
 
     @cached_property
     def counted(self) -> SampledController:
@@ -152,22 +150,11 @@ class FixedPoint:
         own = tuple(replace(each, kind="wide") if each.name in _WIDE else each for each in made.own)
         kinds = {name: kind for name, (kind, _) in constants.items()} | dict.fromkeys(("y", "u", "given"), "real")
         text = WholeNumbers(shifts, kinds | {each.name: each.kind for each in (*made.kept, *own)}, len(self.units["u"]))
-        return replace(
-            made,
-            constants=constants,
-            own=own,
-            body=text.of(made.body),
-            begin=text.of(made.begin),
-            hold=text.of(made.hold),
-        )
+        read: Any = {part: text.of(getattr(made, part)) for part in ("body", "begin", "hold")}
+        return replace(made, constants=constants, own=own, **read)
 
     def off(self, table: str, sizes: Array) -> Array:
-        """Return by how much rounding the entries of a table moves its rows, in units: of all cells the most.
-
-        Args:
-            table: By its name in `step`.
-            sizes: How large what the rows are of is at most, in units.
-        """
+        """Return by how much rounding the entries of a table moves its rows on what is so large, in units, at most."""
         made, shifts = self._made
         exact, by = made.constants[table][1], 2.0 ** shifts[table]
         return most(np.abs(_whole(exact * by) / by - exact), sizes)
@@ -177,25 +164,12 @@ class FixedPoint:
         return np.full(len(sizes), 0.5)
 
     @property
-    def one(self) -> float:
-        """What stands for 1 beside numbers."""
-        return float(ONE)
-
-    @property
-    def largest(self) -> float:
-        """The largest number that counts, in units."""
-        return FULL - 1.0
-
-    @property
     def spare(self) -> Mapping[str, Array]:
         """What numbers may be more than with real numbers, in units."""
         return {name: np.full(len(unit), _SPARE) for name, unit in self.units.items()}
 
     def along(self, program: SampledController, given: Array) -> dict[str, Array]:
-        """Return cell_d, x_d, η̂ and w of a program in these units after each tick, with no y.
-
-        Raises OutsideTheory if a number leaves its 32 bits.
-        """
+        """Return what `single_floats.along` does in these units; OutsideTheory if a number leaves its 32 bits."""
         of, nothing = replace(self, program=program), np.zeros((len(given), len(self.units["y"])), dtype=np.int64)
         found = run(of.step, nothing, of.counts("w", given))
         if (found["status"] < 0).any():
@@ -221,23 +195,20 @@ def _whole(values: Array) -> IntArray:
 
 
 def _shifts(tables: Mapping[str, Array]) -> dict[str, int]:
-    """Return by how many bits sums with each table are shifted.
-
-    Raises OutsideTheory if the rows of one weigh too much for 30 bits.
-    """
+    """Return by how many bits sums with each table are shifted; OutsideTheory if rows weigh too much for 30 bits."""
     found = dict[str, int]()
     for group in _GROUPS:
         there = [name for name in group if name in tables]
-        shift = _shift(*(_weighed(name, tables[name]) for name in there))
+        weighed = {name: tables[name] for name in there}  # in 2³¹ of what each is of
+        if "offsets" in weighed:  # which have 64 bits
+            weighed["offsets"] = weighed["offsets"][:, None] / ONE
+        if "gain" in weighed:  # of differences of two numbers
+            weighed["gain"] = 2 * weighed["gain"]
+        shift = _shift(*weighed.values())
         if shift < 0:
             raise OutsideTheory(f"whole numbers of 32 bits: '{there[0]}' makes numbers 2^{-shift} times too large")
         found |= dict.fromkeys(there, min(shift, _LAW if "gain" in group else _LONGEST))
     return found
-
-
-def _weighed(name: str, table: Array) -> Array:
-    """Return a table in 2³¹ of what it is of: planes have offsets of 64 bits, gains differences of two numbers."""
-    return table[:, None] / ONE if name == "offsets" else 2 * table if name == "gain" else table
 
 
 def _shift(*tables: Array) -> int:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -54,6 +54,7 @@ _UNITS: dict[str, tuple[float, dict[str, int]]] = {
     "1": (1.0, {}),
 }
 _PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}
+_SCALED = _UNITS.keys() - {"kg", "min", "h", "deg", "rpm", "%", "1"}
 _CELSIUS = ("degC", "°C")  # alone, else only differences are meant
 _PART = re.compile(r"([*·/ ]+|^)([^\W\d_]+|[%°Ω]\w*|1)(?:\^?(-?\d+))?(?=[*·/ ]|$)")
 
@@ -86,10 +87,7 @@ class Model:
 
 
 def packed(model: Model, version: Version, compiler: str | None) -> dict[str, bytes]:
-    """Return all files of an FMU by their paths; without a compiler these are its sources only.
-
-    Raises RuntimeError if the compiler refuses the sources.
-    """
+    """Return all files of an FMU by their paths, without a compiler its sources only; raises as `compiled`."""
     main = f"fmi{version}.c"
     calls = template("fmi_calls.c", version=version, fmi=f"fmi{version}", FMI=f"FMI{version}", **_NAMES[version])
     sources = {main: template(main, calls=calls), "instance.h": template("instance.h"), **model.sources}
@@ -101,7 +99,12 @@ def packed(model: Model, version: Version, compiler: str | None) -> dict[str, by
     found = {"modelDescription.xml": _description(model, version, files, token)}
     found |= {f"sources/{name}": text.encode() for name, text in sources.items()}
     if version == 3:
-        found["sources/buildDescription.xml"] = _build_description(model, files)
+        root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+        configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.identifier)
+        options = "-std=c99 -O2 -ffp-contract=off"
+        _named(configuration, "SourceFileSet", "SourceFile", files, language="C99", compilerOptions=options)
+        ET.SubElement(configuration, "Library", name="m", external="true")
+        found["sources/buildDescription.xml"] = _text(root)
     found |= {f"resources/{name}": content for name, content in model.resources.items()}
     if compiler is not None:
         found[f"binaries/{_PLATFORMS[version]}/{model.identifier}.so"] = compiled(sources, compiler)
@@ -119,10 +122,7 @@ def write_fmu(found: Mapping[str, bytes], path: Path) -> None:
 
 
 def compiled(sources: Mapping[str, str], compiler: str, options: Sequence[str] = ()) -> bytes:
-    """Return a shared library of C files and headers.
-
-    Raises RuntimeError with the first line of what the compiler says, if it refuses them.
-    """
+    """Return a shared library of C files and headers; raises RuntimeError with the first error of the compiler."""
     with TemporaryDirectory() as folder:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
@@ -155,11 +155,22 @@ def _description(model: Model, version: Version, files: Sequence[str], token: st
             "variableNamingConvention": "structured",
         },
     )
-    _interface(root, model, version, files)
+    state = _NAMES[version]["state"]
+    able = {
+        "modelIdentifier": model.identifier,
+        "canHandleVariableCommunicationStepSize": "true" if model.step is None else "false",
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+    }
+    if version == 2:
+        able["canNotUseMemoryManagementFunctions"] = "true"
+    elif model.step is not None:
+        able["fixedInternalStepSize"] = repr(model.step)
+    interface = ET.SubElement(root, "CoSimulation", able)
+    if version == 2:
+        _named(interface, "SourceFiles", "File", files)
     _units(root, model)
-    categories = ET.SubElement(root, "LogCategories")
-    for name in ("logStatusWarning", "logStatusError"):
-        ET.SubElement(categories, "Category", name=name)
+    _named(root, "LogCategories", "Category", ("logStatusWarning", "logStatusError"))
     step, stop = model.preferred
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(stop), stepSize=repr(step))
     variables = ET.SubElement(root, "ModelVariables")
@@ -169,34 +180,10 @@ def _description(model: Model, version: Version, files: Sequence[str], token: st
     return _text(root)
 
 
-def _build_description(model: Model, files: Sequence[str]) -> bytes:
-    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model.identifier)
-    options = "-std=c99 -O2 -ffp-contract=off"
-    sources = ET.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions=options)
-    for name in files:
-        ET.SubElement(sources, "SourceFile", name=name)
-    ET.SubElement(configuration, "Library", name="m", external="true")
-    return _text(root)
-
-
-def _interface(root: ET.Element, model: Model, version: Version, files: Sequence[str]) -> None:
-    state = _NAMES[version]["state"]
-    said = {
-        "modelIdentifier": model.identifier,
-        "canHandleVariableCommunicationStepSize": "true" if model.step is None else "false",
-        f"canGetAndSet{state}": "true",
-        f"canSerialize{state}": "true",
-    }
-    if version == 2:
-        said["canNotUseMemoryManagementFunctions"] = "true"
-    elif model.step is not None:
-        said["fixedInternalStepSize"] = repr(model.step)
-    interface = ET.SubElement(root, "CoSimulation", said)
-    if version == 2:
-        sources = ET.SubElement(interface, "SourceFiles")
-        for name in files:
-            ET.SubElement(sources, "File", name=name)
+def _named(root: ET.Element, tag: str, each: str, names: Iterable[str], **said: str) -> None:
+    found = ET.SubElement(root, tag, said)
+    for name in names:
+        ET.SubElement(found, each, name=name)
 
 
 def _units(root: ET.Element, model: Model) -> None:
@@ -262,25 +249,15 @@ def base_unit(text: str) -> tuple[Mapping[str, int], float, float] | None:
         return {"K": 1}, 1.0, 273.15
     powers, factor, place = dict[str, int](), 1.0, 0
     for part in _PART.finditer(text):
-        found = _symbol(part[2])
-        between = part[1].strip()
-        if part.start() != place or found is None or len(between) > 1:
+        between, symbol = part[1].strip(), "K" if part[2] in _CELSIUS else part[2]
+        scaled = symbol not in _UNITS and symbol[1:] in _SCALED
+        scale, symbol = (_PREFIXES.get(symbol[0]), symbol[1:]) if scaled else (1.0, symbol)
+        if part.start() != place or scale is None or symbol not in _UNITS or len(between) > 1:
             return None
         place, power = part.end(), int(part[3] or 1) * (-1 if between == "/" else 1)
-        factor *= found[0] ** power
-        for name, count in found[1].items():
+        factor *= (scale * _UNITS[symbol][0]) ** power
+        for name, count in _UNITS[symbol][1].items():
             powers[name] = powers.get(name, 0) + power * count
     if not text or place != len(text):
         return None
     return {name: powers[name] for name in _BASE if powers.get(name)}, factor, 0.0
-
-
-def _symbol(text: str) -> tuple[float, Mapping[str, int]] | None:
-    if text in _CELSIUS:
-        return _UNITS["K"]
-    if text in _UNITS:
-        return _UNITS[text]
-    scale, rest = _PREFIXES.get(text[:1]), text[1:]
-    if scale is None or rest not in _UNITS or rest in ("kg", "min", "h", "deg", "rpm", "%", "1"):
-        return None
-    return scale * _UNITS[rest][0], _UNITS[rest][1]

@@ -1,10 +1,8 @@
-"""A controller and a plant as models for FMUs: the very C that `export c` writes, and cells as tables of a C engine.
-
-That engine goes from crossing to crossing.
-"""
+"""A controller and a plant as models for FMUs: the very C that `export c` writes, and tables of cells for an engine."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import repeat
 
 import numpy as np
 
@@ -74,7 +72,8 @@ def _reals(variables: Sequence[ModelVariable]) -> dict[str, object]:
 
 
 def _controller_variables(c: Source) -> list[ModelVariable]:
-    plant, of, eta = c.file.plant, c.program.sizes, c.file.trajectory.eta
+    plant, of = c.file.plant, c.program.sizes
+    counted = {f"eta{k}": name for k, name in enumerate(c.file.trajectory.eta, 1)}
     named = dict(zip(plant.loads.where, plant.loads.names, strict=True)) if plant.loads else {}
     loads = list[str]()
     for k in range(of["N"] - of["n"]):  # a sinusoid has two entries, the first with its name
@@ -88,55 +87,39 @@ def _controller_variables(c: Source) -> list[ModelVariable]:
         "cell_desired": f"cell of the desired state{desired}",
     }
 
-    def of_kind(causality: str, name: str, text: str, unit: str = "", value: float | None = None) -> ModelVariable:
+    def each(
+        causality: str, form: str, text: str, names: Iterable[str], starts: Iterable[float | None] = repeat(None)
+    ) -> list[ModelVariable]:
         held = causality in ("output", "local")
-        return ModelVariable(name, causality, text, unit, value, held=held)
-
-    def unit_of(name: str) -> str:
-        return plant.units.get(name, "")
+        return [
+            ModelVariable(form.format(name), causality, text.format(name), plant.units.get(name, ""), start, held=held)
+            for name, start in zip(names, starts, strict=False)
+        ]
 
     return [
         _TIME,
-        *(of_kind("input", name, "measured now", unit_of(name), 0.0) for name in plant.outputs),
+        *each("input", "{}", "measured now", plant.outputs, repeat(0.0)),
         *(
-            of_kind("input", _reference(name), f"reference: {name}", reference_unit(name, plant.units), 0.0)
+            ModelVariable(f"reference.{own}", "input", f"reference: {name}", reference_unit(name, plant.units), 0.0)
             for name in c.program.given
+            for own in [re.sub(r"\W", "_", name)]
         ),
-        *(of_kind("output", name, "put out from the start of the step", unit_of(name)) for name in plant.inputs),
+        *each("output", "{}", "put out from the start of the step", plant.inputs),
+        *each("output", "next.{}", "put out from the end of the step", plant.inputs * bool(c.program.sampling.delay)),
+        *each("local", "estimate.{}", "{}, as observed", states),
+        *(ModelVariable(f"generator.{k}", "local", f"generator: {name}", held=True) for k, name in counted.items()),
+        *each("local", "desired.{}", "{}, as desired", plant.states),
+        *each("parameter", "start.{}", "{} that the observer starts with", states, x_hat),
         *(
-            of_kind("output", f"next.{name}", "put out from the end of the step", unit_of(name))
-            for name in (plant.inputs if c.program.sampling.delay else ())
-        ),
-        *(of_kind("local", f"estimate.{name}", f"{name}, as observed", unit_of(name)) for name in states),
-        *(of_kind("local", f"generator.eta{k + 1}", f"generator: {name}") for k, name in enumerate(eta)),
-        *(of_kind("local", f"desired.{name}", f"{name}, as desired", unit_of(name)) for name in plant.states),
-        *(
-            of_kind("parameter", f"start.{name}", f"{name} that the observer starts with", unit_of(name), value)
-            for name, value in zip(states, x_hat, strict=True)
-        ),
-        *(
-            of_kind("parameter", f"start.eta{k + 1}", f"what the generator starts with: {name}", "", value)
-            for k, (name, value) in enumerate(zip(eta, eta_hat, strict=True))
+            ModelVariable(f"start.{k}", "parameter", f"what the generator starts with: {name}", "", value)
+            for (k, name), value in zip(counted.items(), eta_hat, strict=True)
         ),
         *(ModelVariable(f"diagnosis.{name}", "output", text, whole=True) for name, text in told.items()),
     ]
 
 
-def _reference(name: str) -> str:
-    """Return the name of an entry of the reference.
-
-    Example:
-        >>> _reference("d2y/dt2")
-        'reference.d2y_dt2'
-    """
-    return "reference." + re.sub(r"\W", "_", name)
-
-
 def plant_model(spec: Spec, name: str) -> Model:
-    """Return the model of the plant that a spec simulates, with a prefix of its C names.
-
-    Raises InvalidSpec if it has too many cells.
-    """
+    """Return the model of the plant that a spec simulates, with a prefix of its C names; InvalidSpec of many cells."""
     plant, scenario = spec.scenario.conditions.plant or spec.problem.plant, spec.scenario
     numbers = plant.A.size + plant.b.size
     if numbers > _MOST_NUMBERS:
@@ -231,15 +214,13 @@ def _tables(plant: PWASystem, B: Array) -> dict[str, object]:
     if not len(h):
         H, h, signs = np.zeros((1, n)), np.zeros(1), np.zeros((1, 1), dtype=np.int64)
     steps, degrees = zip(*(_step(A, b, B) for A, b in zip(plant.A, plant.b, strict=True)), strict=True)
-    tables = {"A": plant.A, "b": plant.b, "B": B, "step": steps, "H": H, "h": h}
-    text = {name: initialiser(values) for name, values in tables.items()}
-    text["signs"] = str(signs.tolist()).replace("[", "{").replace("]", "}")
+    tables = {"A": plant.A, "b": plant.b, "B": B, "step": steps, "H": H, "h": h, "signs": signs}
     return {
         "cells": len(signs),
         "planes": len(h),
         "degree": max(degrees),
         "unit": repr(float(unit(n + m + 1) / EPS)),
-        **{name: values.replace("}, {", "},\n    {") for name, values in text.items()},
+        **{name: initialiser(values).replace("}, {", "},\n    {") for name, values in tables.items()},
     }
 
 

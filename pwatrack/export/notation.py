@@ -10,12 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from textwrap import indent
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from pwatrack.export.source import Source, Vector
+from typing import Literal
 
 Numbers = Literal["float64", "float32", "int32"]
 
@@ -51,8 +47,8 @@ _CALLED: Mapping[str, Mapping[str, int]] = {
     "narrowed": {**_NEAREST, "<": 3},
     "stepped": {**_NEAREST, "*": 2},
 }
-_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-_COMPARISONS = {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">="}
+_OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_SIGNS = _OPERATORS | {ast.Eq: "==", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">="}
 
 
 def printed(text: str, language: Language) -> str:
@@ -70,12 +66,9 @@ def printed(text: str, language: Language) -> str:
     return "\n".join(map(_Printer(language).statement, ast.parse(text).body))
 
 
-def names(text: str) -> set[str]:
-    """Return all names in lines of the notation."""
-    return _names(ast.parse(text))
-
-
-def _names(tree: ast.AST) -> set[str]:
+def names(text: str | ast.AST) -> set[str]:
+    """Return all names in lines of the notation, or in a part of their tree."""
+    tree = ast.parse(text) if isinstance(text, str) else text
     return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
 
 
@@ -95,8 +88,8 @@ def most(text: str, reals: Set[str]) -> Counter[str]:
     def of_value(node: ast.AST) -> Counter[str]:
         found = Counter[str]()
         for part in ast.walk(node):
-            if isinstance(part, ast.BinOp | ast.Compare) and _names(part) & reals:
-                found[_OPERATORS[type(part.op)] if isinstance(part, ast.BinOp) else "<"] += 1
+            if isinstance(part, ast.BinOp | ast.Compare) and names(part) & reals:
+                found[_SIGNS[type(part.op)] if isinstance(part, ast.BinOp) else "<"] += 1
             if isinstance(part, ast.Call) and isinstance(part.func, ast.Name):
                 found.update(_CALLED.get(part.func.id, {}))
         return found
@@ -166,10 +159,8 @@ class _Printer:
                 return self.language.element.format(self.language.name(name), indices)
             case ast.BinOp(left=left, op=ast.Mod(), right=right):
                 return self.language.remainder.format(self.inner(left), self.inner(right))
-            case ast.BinOp(left=left, op=op, right=right):
-                return f"{self.inner(left)} {self.word(_OPERATORS[type(op)])} {self.inner(right)}"
-            case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return f"{self.inner(left)} {self.word(_COMPARISONS[type(op)])} {self.inner(right)}"
+            case ast.BinOp(left, op, right) | ast.Compare(left, [op], [right]):
+                return f"{self.inner(left)} {self.word(_SIGNS[type(op)])} {self.inner(right)}"
             case ast.BoolOp(op=op, values=values):
                 return f" {words['and' if isinstance(op, ast.And) else 'or']} ".join(map(self.inner, values))
             case ast.Call(func=ast.Name(id=called), args=args) if called in _CALLED:
@@ -212,9 +203,9 @@ class Target:
     numbers: tuple[Numbers, ...] = ("float64", "float32")  # what it may compute in
 
     @property
-    def write(self) -> Callable[["Source", "Vector", Path], list[str]]:
-        """What writes a controller to a folder, with what it reads in a test, and returns the names of the files."""
-        found: Callable[[Source, Vector, Path], list[str]] = import_module(f"pwatrack.export.{self.module}").write
+    def write(self) -> Callable[..., list[str]]:
+        """What writes a `Source`, and the `Vector` it reads in a test, to a folder, and returns the names of files."""
+        found: Callable[..., list[str]] = import_module(f"pwatrack.export.{self.module}").write
         return found
 
 

@@ -38,8 +38,7 @@ def plant_system(controller: ProvedController, name: str, units: Mapping[str, st
         return np.asarray(C @ x)
 
     inputs = [*plant.inputs, *(() if loads is None else loads.names)]
-    labels = {"name": name, "inputs": inputs, "outputs": list(names), "states": list(plant.states)}
-    return _system(rate, output, units, start, **labels)
+    return _system(rate, output, units, start, name=name, inputs=inputs, outputs=list(names), states=list(plant.states))
 
 
 def controller_system(controller: ProvedController, name: str, units: Mapping[str, str], start: Sequence[float]) -> Any:
@@ -80,8 +79,7 @@ def controller_system(controller: ProvedController, name: str, units: Mapping[st
     hats = [f"{state}_hat" for state in plant.states]
     outputs = [*plant.inputs, *hats, *(f"{state}_d" for state in plant.states)]
     states = [*hats, *(f"s_hat_{k}" for k in range(N - n)), *(f"eta_hat_{k}" for k in range(p))]
-    labels = {"name": name, "inputs": list(plant.outputs), "outputs": outputs, "states": states}
-    return _system(rate, output, units, start, **labels)
+    return _system(rate, output, units, start, name=name, inputs=list(plant.outputs), outputs=outputs, states=states)
 
 
 def loop_system(plant: Any, controller: Any, name: str) -> Any:
@@ -94,23 +92,18 @@ def loop_system(plant: Any, controller: Any, name: str) -> Any:
 
 
 def sampled_system(
-    program: SampledController,
-    x_hat: ArrayLike,
-    eta_hat: ArrayLike,
-    real: Any,
-    units: Mapping[str, str],
-    **labels: Any,
+    program: SampledController, started: tuple[ArrayLike, ArrayLike], real: Any, units: Mapping[str, str], **labels: Any
 ) -> Any:
     """Return a controller that is sampled, in discrete time: from what is measured to u, and in every bit what runs.
 
     Its state is that of the program, and 1. All 0 is what python-control begins with where no state is given: no
     program is in that state, and the system starts as `params["start"]` says.
 
-    The program has its reference inside, or it is given: then that is an input too. `real` is the type of its floats;
-    `labels` are its `name`, `inputs` and `outputs`. Raises as `plant_system`.
+    It starts from x̂ with ŝ, and η̂; a reference that is given is an input too. `real` is the type of its floats;
+    `labels` are `name`, `inputs` and `outputs`. Raises as `plant_system`.
     """
     table, q, at = routine(program, real), program.sizes["q"], program.places
-    first = memory(program, x_hat, eta_hat, real)
+    first = memory(program, *started, real)
     size = len(first["memory"])
     start = np.array([*first["memory"].tolist(), *first["counts"][0].tolist(), 1.0])
 
@@ -120,7 +113,7 @@ def sampled_system(
         z = z if z.any() else start
         if z[-1] != 1:
             raise ValueError("the last entry of a state is 1, as in params['start']: change what is before it")
-        kept = memory(program, x_hat, eta_hat, real)
+        kept = memory(program, *started, real)
         kept["memory"][:], kept["counts"][0] = z[:size], tuple(z[size:-1].astype(np.int64))
         tick(table, **kept, y=v[:q].astype(real), given=v[q:].astype(real))
         return kept["memory"], kept["counts"][0].tolist()

@@ -41,11 +41,7 @@ def stepped(value: int, step: int) -> int:
 
 
 class Reading:
-    """A step that runs, from its start on.
-
-    Args:
-        step: In floats, but without set-points, or in whole numbers: see `fixed_point`.
-    """
+    """A step that runs from its start: in floats, without set-points, or in whole numbers: see `fixed_point`."""
 
     def __init__(self, step: Step) -> None:
         inputs = next(variable.length for variable in step.kept if variable.name == "before")
@@ -69,21 +65,13 @@ class Reading:
 
 
 def run(step: Step, y: NDArray[Any], given: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Run a step from its start, and return all that it remembers, and u, after each tick.
-
-    Args:
-        step: As of `Reading`.
-        y: What is measured, (steps, q).
-        given: The reference from outside, (steps, s); (steps, 0) where it is made inside.
-    """
+    """Run a step as `Reading` does, y and references in rows; return all that it remembers, and u, after each tick."""
     reading = Reading(step)
     found = [reading.step(*each) for each in zip(y.tolist(), given.tolist(), strict=True)]
     return {name: np.array([each[name] for each in found]) for name in found[0]}
 
 
 class _Lists(ast.NodeTransformer):
-    """Reads entries of arrays as entries of lists of lists."""
-
     def visit_Subscript(self, node: ast.Subscript) -> ast.expr:
         if not isinstance(node.slice, ast.Tuple):
             return node

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,32 +58,19 @@ class _Kicked(Tube):
 
 @dataclass(frozen=True, kw_only=True)
 class Rounding:
-    """A program in numbers of some kind, in a run.
+    """A program in numbers of some kind, in a run."""
 
-    Attributes:
-        controller: Whose program it is.
-        numbers: What runs, in whole numbers or single floats.
-        ranges: Of its numbers, were they real.
-        given: The reference from outside at all ticks of the run, (ticks, s); (ticks, 0) where it is made inside.
-        room: Times what numbers are at most with real numbers, to which they may grow.
-        proved: The program that its loop was proved with, which makes the reference inside.
-        started: What x̂ with ŝ, and η̂ start with.
-    """
-
-    controller: ProvedController
-    numbers: FixedPoint | SingleFloats
-    ranges: ProgramRanges
-    given: Array
-    room: float
-    proved: SampledController
-    started: tuple[ArrayLike, ArrayLike]
+    controller: ProvedController  # whose program it is
+    numbers: FixedPoint | SingleFloats  # what runs
+    ranges: ProgramRanges  # of its numbers, were they real
+    given: Array  # the reference from outside at all ticks, (ticks, s); (ticks, 0) where it is made inside
+    room: float  # times what numbers are at most with real numbers, to which they may grow
+    proved: SampledController  # what its loop was proved with, which makes the reference inside
+    started: tuple[ArrayLike, ArrayLike]  # what x̂ with ŝ, and η̂ start with
 
     @cached_property
     def bounds(self) -> SampledBounds:
-        """What all that acts leaves, and rounding too.
-
-        Raises CheckFailed if a number leaves its 32 bits, or no tube is known.
-        """
+        """What all that acts leaves, and rounding too; CheckFailed if a number leaves its bits, or no tube is known."""
         known, count = self.ranges.bounds, len(self.ranges.bounds.acts.near)
         off: dict[Channel, float] = {("input", k): size for k, size in enumerate(self.put_out.tolist())}
         wanted: list[Channel] = [*off, *(("noise", k) for k in range(len(known.errors.plant.C)))]
@@ -103,7 +90,10 @@ class Rounding:
             beside["input", k] = beside.get(("input", k), 0.0) + np.full(count, size)
         acts = replace(known.acts, squares=squares, beside=beside)
         found = replace(known, acts=acts, tubes=(*tubes, ({_CHANNEL: 1.0}, kicked)))
-        self._check_room(replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out))
+        ranges = replace(self.ranges, bounds=found, steps=self.ranges.steps + self.put_out)
+        for name, each in self._largest(ranges).items():
+            if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
+                raise CheckFailed(f"{NOT_KNOWN}{name} may get too large", hint=_OTHER)
         return found
 
     @property
@@ -225,11 +215,6 @@ class Rounding:
             name: np.maximum(found[name], np.abs(made[name]).max(axis=0)) for name in ("x_d", "eta_hat") if made
         }
 
-    def _check_room(self, ranges: ProgramRanges) -> None:
-        for name, each in self._largest(ranges).items():
-            if (each / self.numbers.units[name] > np.minimum(self.sizes[name], self.numbers.largest)).any():
-                raise CheckFailed(f"{NOT_KNOWN}{name} may get too large", hint=_OTHER)
-
 
 def largest(ranges: ProgramRanges, given: Array) -> dict[str, Array]:
     """Return how large the numbers of a program get that are remembered; w where it is given as it is there."""
@@ -254,12 +239,7 @@ def _reference_alone(program: SampledController) -> SampledController:
 
 
 def beside_cells(program: SampledController, off: Array) -> Array:
-    """Return how far at most a point of a cell is from any at which its planes are contradicted by `off`, (n,).
-
-    Args:
-        program: Whose cells of x̂ they are.
-        off: By how much at most, of each plane, (K,).
-    """
+    """Return how far at most a point of a cell of x̂ is from any at which its planes are contradicted by `off`, (n,)."""
     found = np.zeros(program.H.shape[1])
     for signs in program.signs:
         planes = np.flatnonzero(signs)
@@ -275,29 +255,25 @@ def beside_cells(program: SampledController, off: Array) -> Array:
 
 
 def of_run(controller: ProvedController, code: Source, kind: Literal["float32", "int32"], given: Array) -> Rounding:
-    """Return what runs in a run of its spec, in numbers of a kind; whole ones in units that their ranges just fit in.
-
-    Args:
-        controller: Whose program it is.
-        code: What is exported.
-        kind: Of its numbers.
-        given: As of `Rounding`.
+    """Return code in a run of its spec, in numbers of a kind; whole ones in units that their ranges just fit in.
 
     Raises OutsideTheory or CheckFailed for what is not made in whole numbers, or not proved.
     """
     program, ranges = code.program, next(iter(controller.claims_of(ProgramRanges)), None)
-    if not program.sampling.corrects:
-        raise OutsideTheory(f"{NOT_KNOWN}the program is emulated, and nothing is proved of it", hint=_OTHER)
-    if len(program.pace):
-        raise OutsideTheory(f"{NOT_KNOWN}it makes y_d of set-points, whose ranges are not known", hint=_OTHER)
-    bounds = next(iter(controller.claims_of(SampledBounds)), None)
-    if bounds is not None and bounds.errors.estimates is not None:
-        message = f"{NOT_KNOWN}x_d or u_ff depend on estimates that are no constants at inputs"
-        raise OutsideTheory(message, hint=_OTHER)
+    estimated = any(bounds.errors.estimates is not None for bounds in controller.claims_of(SampledBounds))
+    outside = {
+        "the program is emulated, and nothing is proved of it": not program.sampling.corrects,
+        "it makes y_d of set-points, whose ranges are not known": len(program.pace) > 0,
+        "x_d or u_ff depend on estimates that are no constants at inputs": estimated,
+    }
+    for why, so in outside.items():
+        if so:
+            raise OutsideTheory(NOT_KNOWN + why, hint=_OTHER)
     if ranges is None:
         message = f"{NOT_KNOWN}between what its numbers are is not proved: see 'sampled loop' of the design"
         raise CheckFailed(message, hint=_OTHER)
-    proved, started = runs(code.file), code.file.started
+    of_all: Any = {"controller": controller, "ranges": ranges, "given": given, "proved": runs(code.file)}
+    of_all["started"] = started = code.file.started
 
     def within(room: float) -> Rounding:
         units = units_of(program, {name: _LESS * room * size for name, size in largest(ranges, given).items()})
@@ -305,15 +281,7 @@ def of_run(controller: ProvedController, code: Source, kind: Literal["float32", 
         if kind == "float32":
             spare = {name: 2.0**31 * unit for name, unit in units.items()}  # as much again
             numbers = SingleFloats(program=program, started=started, spare=spare)
-        return Rounding(
-            controller=controller,
-            numbers=numbers,
-            ranges=ranges,
-            given=given,
-            room=room,
-            proved=proved,
-            started=started,
-        )
+        return Rounding(numbers=numbers, room=room, **of_all)
 
     *rooms, last = _ROOMS if kind == "int32" else _ROOMS[:1]
     return next(filter(lambda found: found.fits, map(within, rooms)), within(last))

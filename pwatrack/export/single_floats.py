@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,27 +18,14 @@ _NAMES = {"normals": "H", "offsets": "h", "outputs": "C", "correction": "M", "fe
 
 @dataclass(frozen=True, kw_only=True)
 class SingleFloats:
-    """A program in single floats: 1 is 1.
+    """A program in single floats: 1 is 1."""
 
-    Attributes:
-        program: In doubles.
-        started: What x̂ with ŝ, and η̂ start with.
-        spare: What numbers may be more than with real numbers.
-    """
+    program: SampledController  # in doubles
+    started: tuple[ArrayLike, ArrayLike]  # what x̂ with ŝ, and η̂ start with
+    spare: Mapping[str, Array]  # what numbers may be more than with real numbers
 
-    program: SampledController
-    started: tuple[ArrayLike, ArrayLike]
-    spare: Mapping[str, Array]
-
-    @property
-    def one(self) -> float:
-        """What stands for 1 beside numbers."""
-        return 1.0
-
-    @property
-    def largest(self) -> float:
-        """The largest number that counts."""
-        return float(np.finfo(np.float32).max)
+    one: ClassVar = 1.0  # what stands for 1 beside numbers
+    largest: ClassVar = float(np.finfo(np.float32).max)  # number that counts
 
     @property
     def x(self) -> Array:

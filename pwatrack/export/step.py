@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pwatrack.export.notation import names
+
 if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays
 
@@ -77,10 +79,7 @@ class Step:
 
 
 def step(routine: "ControllerArrays", starts: Mapping[str, NDArray[Any]]) -> Step:
-    """Return the step of a controller.
-
-    `starts` has what x̂ with ŝ, η̂, and w if it is made inside, start with: `start_x_hat`, `start_eta_hat`, `start_w`.
-    """
+    """Return the step of a controller that starts from `start_x_hat` (with ŝ), `start_eta_hat`, `start_w` if inside."""
     at, copies = routine.at, max(len(routine.turn) - 1, 0)
     past = at.late - at.past
     arrays: tuple[Variable, ...] = (
@@ -162,12 +161,8 @@ def _body(
     routine: "ControllerArrays", arrays: Iterable[Variable], numbers: Iterable[Variable], variables: set[str], hold: str
 ) -> Iterator[str]:
     """Yield a step, unless a number that is an index was overwritten: then the answer to that."""
-    below = {
-        "cell": len(routine.signs),
-        "cell_d": len(routine.sides),
-        "since": 2 ** (10 * max(len(routine.turn) - 1, 0)),
-    }
-    below["piece"] = len(routine.piece_tick) + 1
+    below = {"cell": len(routine.signs), "cell_d": len(routine.sides), "piece": len(routine.piece_tick) + 1}
+    below["since"] = 2 ** (10 * max(len(routine.turn) - 1, 0))
     inside = [f"({v.name} >= 0) and ({v.name} < {below[v.name]})" for v in numbers if v.name in below]
     lines = [_loop("k", variable.length, f"new_{variable.name}[k] = {variable.name}[k]") for variable in arrays]
     lines += [_Worked(routine, variables).text("_next"), "'Nothing is changed unless all of it is finite.'"]
@@ -197,7 +192,6 @@ def _finite(value: str) -> str:
 
 @cache
 def _statement() -> tuple[dict[str, ast.FunctionDef], dict[str, Any]]:
-    """Return the functions of the kernel, and its whole numbers."""
     body = ast.parse(files("pwatrack.simulation").joinpath("kernel.py").read_text(encoding="utf-8")).body
     known: dict[str, Any] = {"np": np, "len": len, "min": min}
     for node in body:
@@ -221,12 +215,17 @@ class _Worked:
 
     def text(self, name: str) -> str:
         """Return a function in the notation."""
-        lines, _ = self.statements(self.functions[name].body[1:], dict(self.constants))
+        lines = self.block(self.functions[name].body[1:], self.constants)
         return ast.unparse(ast.fix_missing_locations(ast.Module(lines, [])))
 
-    def statements(self, body: Iterable[ast.stmt], known: dict[str, Any]) -> tuple[list[ast.stmt], ast.expr | None]:
-        """Return what is left of statements, and what they return."""
+    def block(self, body: Iterable[ast.stmt], known: dict[str, Any]) -> list[ast.stmt]:
+        """Return what is left of statements by themselves."""
         found = list[ast.stmt]()
+        self.statements(body, dict(known), found)
+        return found
+
+    def statements(self, body: Iterable[ast.stmt], known: dict[str, Any], found: list[ast.stmt]) -> ast.expr | None:
+        """Write what is left of statements, and return what they return."""
         for node in body:
             match node:
                 case ast.Expr(value=ast.Constant(value=str(text))):
@@ -234,29 +233,26 @@ class _Worked:
                 case ast.Expr(value=ast.Call() as call):
                     self.value(call, known, found)
                 case ast.Return(value=ast.expr() as value):
-                    return found, self.value(value, known, found)
-                case ast.Assign(targets=[target], value=value):
-                    self.assign(target, value, known, found)
-                case ast.AnnAssign(target=target, value=ast.expr() as value):
+                    return self.value(value, known, found)
+                case ast.Assign([target], value) | ast.AnnAssign(target=target, value=ast.expr() as value):
                     self.assign(target, value, known, found)
                 case ast.For(target=ast.Name(id=index), iter=ast.Call(args=args)):
                     numbers = range(*(self.decided(arg, known) for arg in args))
                     if index not in self.variables:
                         for number in numbers:
-                            found += self.statements(node.body, known | {index: number})[0]
+                            self.statements(node.body, known | {index: number}, found)
                     elif numbers:
                         bounds: list[ast.expr] = [ast.Constant(numbers.start), ast.Constant(numbers.stop)]
-                        inner, _ = self.statements(node.body, dict(known))
-                        found.append(ast.For(ast.Name(index), ast.Call(ast.Name("range"), bounds, []), inner, []))
+                        counted = ast.Call(ast.Name("range"), bounds, [])
+                        found.append(ast.For(ast.Name(index), counted, self.block(node.body, known), []))
                 case ast.If(body=[ast.Break()]):
                     pass
                 case ast.If():
-                    result = self.branch(node, known, found)
-                    if result is not None:
-                        return found, result
+                    if (result := self.branch(node, known, found)) is not None:
+                        return result
                 case _:
                     raise ValueError(f"not a part of the statement: {ast.unparse(node)}")
-        return found, None
+        return None
 
     def branch(self, node: ast.If, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr | None:
         """Write the branches that there are, and return what the one that is taken returns."""
@@ -266,15 +262,11 @@ class _Worked:
             if decided is None:
                 parts.append(self.value(part, known, found))
             elif not decided:
-                lines, result = self.statements(node.orelse, known)
-                found += lines
-                return result
+                return self.statements(node.orelse, known, found)
         if not parts:
-            lines, result = self.statements(node.body, known)
-            found += lines
-            return result
+            return self.statements(node.body, known, found)
         left = parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), parts)
-        found.append(ast.If(left, *[self.statements(each, dict(known))[0] for each in (node.body, node.orelse)]))
+        found.append(ast.If(left, *(self.block(each, known) for each in (node.body, node.orelse))))
         return None
 
     def assign(self, target: ast.expr, value: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> None:
@@ -288,14 +280,14 @@ class _Worked:
             known[target.id] = self.value(value, known, found) if decided is None else decided
             return
         place = self.value(target, known, found)
-        if {node.id for node in ast.walk(place) if isinstance(node, ast.Name)} <= self.variables:  # else nobody asks
+        if names(place) <= self.variables:  # else nobody asks
             made = self.value(value, known, found)
             if ast.unparse(made) != ast.unparse(place):
                 found.append(ast.Assign([place], made))
 
     def decided(self, node: ast.expr, known: dict[str, Any]) -> Any:
         """Return a value that is known, or None."""
-        if any(isinstance(known.get(n.id), ast.expr | None) for n in ast.walk(node) if isinstance(n, ast.Name)):
+        if any(isinstance(known.get(name), ast.expr | None) for name in names(node)):
             return None
         whole = ast.fix_missing_locations(ast.Expression(deepcopy(node)))
         return eval(compile(whole, "kernel", "eval"), {"__builtins__": {}}, known)  # noqa: S307  # our own code
@@ -340,8 +332,7 @@ class _Worked:
         """Write what a function does, and return what it returns."""
         names = {arg.arg: value for arg, value in zip(function.args.args, args, strict=True)}
         body = [_Named(names).visit(deepcopy(node)) for node in function.body[1:]]
-        lines, result = self.statements(body, dict(known))
-        found += lines
+        result = self.statements(body, dict(known), found)
         return ast.Constant(None) if result is None else result
 
     def place(self, of: str, index: ast.expr, known: dict[str, Any], found: list[ast.stmt]) -> ast.expr:
@@ -369,8 +360,6 @@ _WORK = ("g", "source", "cut", "seen", "moved", "missed", "going", "lasting", "b
 
 
 class _Named(ast.NodeTransformer):
-    """Puts values where names are."""
-
     def __init__(self, values: dict[str, ast.expr]) -> None:
         self.values = values
 

@@ -84,7 +84,7 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
     follows = inside.follows
     assert follows is not None
     made = {
-        **_lists(follows, "turn", "w0"),
+        **lists(follows, "turn", "w0"),
         "pieces": [{"tick": piece.tick, "start": piece.start, "w": piece.w.tolist()} for piece in follows.pieces],
         "end": follows.end,
         "early": follows.early.tolist(),
@@ -103,13 +103,13 @@ def sampled(controller: ProvedController, conditions: Conditions) -> dict[str, A
         "delay": inside.sampling.delay,
         "jitter": inside.sampling.jitter,
         "substeps": inside.substeps,
-        **_lists(inside, "K", "M", "E", "observer"),
+        **lists(inside, "K", "M", "E", "observer"),
         "low": _finite(inside.limits[:, 0]),
         "high": _finite(inside.limits[:, 1]),
         "change": _finite(inside.change),
         "quantum": inside.quantum.tolist(),
-        "inside": _lists(inside, *_FOLLOWED) | made,
-        "outside": _lists(outside, *_FOLLOWED) | given,
+        "inside": lists(inside, *_FOLLOWED) | made,
+        "outside": lists(outside, *_FOLLOWED) | given,
     }
 
 
@@ -123,10 +123,7 @@ def read(path: Path) -> ControllerFile:
 
 
 def parsed(found: Any, path: Path) -> ControllerFile:
-    """Return a controller from what its file holds.
-
-    Raises InvalidSpec if it is of another version, has been changed, or is not as its schema says.
-    """
+    """Return a controller from what its file holds; InvalidSpec if that was changed, or is not as its schema says."""
     version = found.get("format") if isinstance(found, dict) else None
     if version != FORMAT:
         said = f"'{version}'"[:80] if isinstance(version, str) else "none that is known"
@@ -210,7 +207,6 @@ def runs(known: ControllerFile, *, given: bool = False, single: bool = False) ->
 
 
 def _range(outside: Outside) -> Array:
-    """Return what set-points may be, (outputs, 2)."""
     ends = outside.range or [None] * len(outside.pace)
     if len(ends) != len(outside.pace):
         raise ValueError("program.outside.range has not an entry for each output")
@@ -266,9 +262,9 @@ def _plant(spec: Spec, controller: ProvedController) -> dict[str, Any]:
         "tracked": list(plant.tracked_names),
         "units": {name: str(unit) for name, unit in spec.problem.units.items()},
         "cells": list(model.cell_names),
-        **_lists(model.partition, "H", "h", "signs"),
-        **_lists(model, "A", "b"),
-        **_lists(plant, "B", "C"),
+        **lists(model.partition, "H", "h", "signs"),
+        **lists(model, "A", "b"),
+        **lists(plant, "B", "C"),
         "tracked_rows": plant.tracked.tolist(),
         "loads": None if plant.loads is None else loads_content(plant.loads, controller.compensation),
     }
@@ -282,7 +278,7 @@ def loads_content(loads: Loads, added: Compensation) -> dict[str, Any]:
         "E": loads.E.floats.tolist(),
         "S": loads.S.floats.tolist(),
         "x_d": added.X.floats.tolist(),
-        **_lists(added, "u_ff", "rate"),
+        **lists(added, "u_ff", "rate"),
     }
 
 
@@ -295,9 +291,9 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     ]
     return {
         "eta": list(trajectory.names),
-        **_lists(trajectory, "rate", "x_d", "u_ff", "guards", "signs"),
+        **lists(trajectory, "rate", "x_d", "u_ff", "guards", "signs"),
         "reference": {
-            **_lists(system, "S", "Q", "w0"),
+            **lists(system, "S", "Q", "w0"),
             "pieces": sorted(pieces, key=lambda piece: (piece["t"], piece["start"])),
             "period": system.period,
             "end": system.end,
@@ -305,7 +301,8 @@ def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
     }
 
 
-def _lists(of: Any, *names: str) -> dict[str, Any]:
+def lists(of: Any, *names: str) -> dict[str, Any]:
+    """Return some arrays of something as lists, by their names."""
     return {name: getattr(of, name).tolist() for name in names}
 
 
@@ -314,10 +311,7 @@ def _finite(values: Array) -> list[float | None]:
 
 
 def with_gains(spec: Spec, known: ControllerFile) -> Spec:
-    """Return a spec that asks for the gains of a stored controller and its sampling, and no others.
-
-    Raises InvalidSpec if they have other sizes.
-    """
+    """Return a spec that asks for the gains and the sampling of a stored controller; InvalidSpec if they do not fit."""
     K, L = np.array(known.K), np.array(known.L)
     plant = spec.problem.plant
     (n, m), (N, q) = plant.B.shape, (plant.observed.A[0].shape[0], len(plant.C))
@@ -332,14 +326,11 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
 def check_same(
     spec: Spec, controller: ProvedController, known: ControllerFile
 ) -> tuple[Spec, SampledController | None]:
-    """Return a spec that has the gains of a stored controller, with its sample time, and its program.
-
-    Raises InvalidSpec if plant, reference or the limits of the program are not those of the spec.
-    """
+    """Return a spec with gains and sampling of a stored controller, and its program; InvalidSpec if it is another's."""
     again = content(spec, controller, proof=known.proof, generator=None, start=None)
-    here = ControllerFile.model_validate(again).model_dump()
+    there, here = known.model_dump(), ControllerFile.model_validate(again).model_dump()
     for name in _SAME:
-        for place in _different(known.model_dump()[name], here[name], name):
+        for place in _different(there[name], here[name], name):
             raise _other(place)
     if known.program is None:
         return spec, None

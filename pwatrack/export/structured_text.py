@@ -60,13 +60,14 @@ class Names:
     own: dict[str, str]  # all other variables of the block, by what they are in the notation
     instance: str  # what a program has besides
     fault: str
+    floats: str  # their type
 
 
 def function_block(source: Source) -> str:
     """Return a controller as a function block."""
-    found, of, called, floats = source.step, source.program.sizes, _called(source), _floats(source)
+    found, of, called = source.step, source.program.sizes, _called(source)
     used, cells = names(found.body), ", ".join(f"{k} {name}" for k, name in enumerate(source.file.plant.cells))
-    types: dict[Kind, str] = {"real": floats, "whole": "DINT", "side": "SINT", "flag": "BOOL"}
+    types: dict[Kind, str] = {"real": called.floats, "whole": "DINT", "side": "SINT", "flag": "BOOL"}
 
     def declared(variable: Variable) -> str:
         kind = types[variable.kind]
@@ -83,9 +84,9 @@ def function_block(source: Source) -> str:
         "st_block.st",
         name=called.block,
         about="\n".join([*source.about(), *wrap(said(f"cells        {cells}"), 118, subsequent_indent=" " * 13)]),
-        real=floats,
-        inputs="\n".join([*_signals(called.inputs, floats), declared(Variable("reset", "flag", what="start anew"))]),
-        outputs="\n".join([*_signals(called.outputs, floats), *(declared(v) for v in found.kept if v.name in FIXED)]),
+        real=called.floats,
+        inputs="\n".join([*_signals(called, called.inputs), declared(Variable("reset", "flag", what="start anew"))]),
+        outputs="\n".join([*_signals(called, called.outputs), *(declared(v) for v in found.kept if v.name in FIXED)]),
         constants="\n".join(
             _constant(called.own[name], types[kind], values)
             for name, (kind, values) in found.constants.items()
@@ -103,12 +104,12 @@ def function_block(source: Source) -> str:
 
 def program_text(source: Source) -> str:
     """Return a program with an instance of the block, and a task of its sample time in a comment."""
-    called, floats = _called(source), _floats(source)
+    called = _called(source)
     put_out = [signal for signal in called.outputs if signal.entry[0] == "u"]
     assigned = [*(signal.called for signal in called.inputs), "reset"]
     read = [*((signal.called, signal.called) for signal in put_out), (called.fault, "status < 0")]
     variables = [
-        *_signals((*called.inputs, *put_out), floats),
+        *_signals(called, (*called.inputs, *put_out)),
         _declared("reset", "BOOL", "start anew"),
         _declared(called.fault, "BOOL", "a number is not finite, or the memory was overwritten"),
     ]
@@ -126,12 +127,8 @@ def program_text(source: Source) -> str:
     )
 
 
-def _floats(source: Source) -> str:
-    return "REAL" if source.single else "LREAL"
-
-
-def _signals(signals: Iterable[Port], floats: str) -> list[str]:
-    return [_declared(signal.called, floats, signal.what) for signal in signals]
+def _signals(called: Names, signals: Iterable[Port]) -> list[str]:
+    return [_declared(signal.called, called.floats, signal.what) for signal in signals]
 
 
 def _declared(name: str, kind: str, what: str) -> str:
@@ -208,26 +205,26 @@ def _called(source: Source) -> Names:
         return f", in {said(text)}" if text else ""
 
     def signals(which: Literal["y", "u"], labels: Iterable[str], what: str) -> tuple[Port, ...]:
-        ports = []
+        ports = list[Port]()
         for k, label in enumerate(labels):
             called = legal(label, taken)
-            other = "" if called == label else f"; {said(label)} in the spec"
-            ports.append(Port(called, (which, k), what + unit(plant.units.get(label, "")) + other))
+            also = "" if called == label else f"; {said(label)} in the spec"
+            ports.append(Port(called, (which, k), what + units[label] + also))
         return tuple(ports)
 
+    units = {label: unit(plant.units.get(label, "")) for label in (*plant.outputs, *plant.inputs)}
     y, u = signals("y", plant.outputs, "measured"), signals("u", plant.inputs, "to be put out now")
     given = tuple(
         Port(legal(f"ref_{w}", taken), ("given", k), f"reference: {said(w)}{unit(reference_unit(w, plant.units))}")
         for k, w in enumerate(source.program.given)
     )
     wanted = tuple(
-        Port(
-            legal(f"{one.called}_wanted", taken), ("wanted", k), "before its limits" + unit(plant.units.get(label, ""))
-        )
+        Port(legal(f"{one.called}_wanted", taken), ("wanted", k), "before its limits" + units[label])
         for k, (one, label) in enumerate(zip(u, plant.inputs, strict=True))
     )
     variables = (variable.name for variable in (*found.kept, *found.own))
     own = dict.fromkeys(["y", "u", "given", _READY, _LARGEST, *found.constants, *variables])
     called = {name: name if name in FIXED else legal(_OWN.get(name, name), taken) for name in own}
     instance, fault = legal("control", taken), legal("fault", taken)
-    return Names(block, program, (*y, *given), (*u, *wanted), called, instance, fault)
+    floats = "REAL" if source.single else "LREAL"
+    return Names(block, program, (*y, *given), (*u, *wanted), called, instance, fault, floats)

@@ -8,6 +8,8 @@ What `wide`, `nearest`, `narrowed` and `stepped` do is in `reading`.
 import ast
 from collections.abc import Mapping
 
+from pwatrack.export.notation import names
+
 ONE = 2**31  # what stands for 1 beside numbers of 32 bits
 
 
@@ -29,8 +31,7 @@ class WholeNumbers(ast.NodeTransformer):
 
     def visit_If(self, node: ast.If) -> ast.AST | None:
         """Leave out what is of floats: steps, and whether a change is finite; what is kept is looked at in any case."""
-        asked = {each.id for each in ast.walk(node.test) if isinstance(each, ast.Name)}
-        return None if self.stepping or {"last", "largest"} <= asked else self.generic_visit(node)
+        return None if self.stepping or {"last", "largest"} <= names(node.test) else self.generic_visit(node)
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt | None:
         """Return an assignment in whole numbers; None for what floats alone need."""
@@ -41,7 +42,7 @@ class WholeNumbers(ast.NodeTransformer):
             return None
         if not self.real(target):
             return node
-        if name == "last" and "value" in {each.id for each in ast.walk(node.value) if isinstance(each, ast.Name)}:
+        if name == "last" and "value" in names(node.value):
             return None
         if self.kinds[name] == "real":
             assert isinstance(target, ast.Subscript)
@@ -123,16 +124,9 @@ class WholeNumbers(ast.NodeTransformer):
 
     def real(self, node: ast.expr) -> bool:
         """Whether a value is one of real numbers."""
-        match node:
-            case ast.Constant(value=value):
-                return isinstance(value, float)
-            case ast.Name() | ast.Subscript():
-                return self.kinds[_name(node)] in ("real", "wide")
-            case ast.UnaryOp(operand=operand):
-                return self.real(operand)
-            case ast.BinOp(left=left, right=right):
-                return self.real(left) or self.real(right)
-        return False
+        return any(self.kinds.get(name) in ("real", "wide") for name in names(node)) or any(
+            isinstance(part, ast.Constant) and isinstance(part.value, float) for part in ast.walk(node)
+        )
 
 
 def _name(node: ast.expr) -> str:

@@ -14,7 +14,7 @@ from pwatrack.control.compensation import compensation
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.generator import TrajectoryGenerator
 from pwatrack.control.goal import Given
-from pwatrack.export.stored import loads_content
+from pwatrack.export.stored import lists, loads_content
 from pwatrack.lmi.audit.reading import FORMAT, number
 from pwatrack.lmi.dichotomy import NoDichotomy
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
@@ -69,10 +69,7 @@ def subject_content(
 
 
 def output_form(spec: Spec, directions: Any = None) -> NormalForm:
-    """Return the normal form of a spec, for directions of the inputs as a certificate has them, or those of a design.
-
-    Raises ValueError if these are not of its shape.
-    """
+    """Return the normal form of a spec, for a certificate's directions of inputs (ValueError if none) or its own."""
     plant = spec.problem.plant
     if directions is None:
         return spec_form(spec)
@@ -92,16 +89,10 @@ def generator_content(generator: TrajectoryGenerator) -> dict[str, Any]:
     return {
         "relative_degrees": list(form.degrees),
         "eta": list(form.eta_names),
-        "T": form.T.tolist(),
-        "offset": form.offset.tolist(),
+        **lists(form, "T", "offset"),
         "cells": list(form.plant.cell_names),
-        "A_eta": generator.A_eta.tolist(),
-        "b_eta": generator.b_eta.tolist(),
-        "B_eta": generator.B_eta.tolist(),
-        "alpha": form.alpha.tolist(),
-        "beta": form.beta.tolist(),
-        "gamma": form.gamma.tolist(),
-        "right_inverse": form.right_inverse.tolist(),
+        **lists(generator, "A_eta", "b_eta", "B_eta"),
+        **lists(form, "alpha", "beta", "gamma", "right_inverse"),
         "shift": None if shift is None else shift.tolist(),
         "loads": told,
     }

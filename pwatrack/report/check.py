@@ -3,10 +3,10 @@
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
-from pwatrack.arrays import amount
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Row
 from pwatrack.model.sizes import Sizes
+from pwatrack.report.plant import orders
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.report.terminal import visible
 from pwatrack.simulation.modes import Mode, modes
@@ -36,24 +36,20 @@ def check_screen(
     said = can_be_designed(report, why_not, refused=refused)
     first = textwrap.wrap(visible(said), COLUMNS, max_lines=3, placeholder=" …")
     rows = [*plant_rows(report, name), *([("reference", f"checked: {reference}")] if reference else [])]
-    rows += [("sizes", "what counts as 1: " + "; ".join(_size_parts(sizes, units)))] if sizes else []
+    if sizes:
+        each = (
+            f"{name} {size:.4g} {units.get(name, '')}".rstrip() + " (given)" * (sizes.origins[name] == "given")
+            for name, size in sizes.by_name.items()
+        )
+        rows.append(("sizes", f"what counts as 1: {'; '.join(each)}"))
     rows += [("remark", remark) for remark in (*report.plant.remarks, *remarks)]
     return [*first, *fitted(joined(rows), LINES - len(first))]
-
-
-def _size_parts(sizes: Sizes, units: Mapping[str, str]) -> Iterator[str]:
-    """Yield each size with its unit, and whether the file gives it."""
-    for name, size in sizes.by_name.items():
-        given = " (given)" * (sizes.origins[name] == "given")
-        yield f"{name} {size:.4g} {units.get(name, '')}".rstrip() + given
 
 
 def plant_rows(report: Applicability, name: str) -> Iterator[Row]:
     """Yield what a plant is, what is odd of it, and the modes of each different cell, without a controller."""
     plant, form, alike = report.plant, report.form, dict[bytes, list[int]]()
-    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": plant.cell_names}
-    orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
-    said = [orders, f"tracks {', '.join(plant.tracked_names)}, measures {', '.join(plant.outputs)}"]
+    said = [orders(plant), f"tracks {', '.join(plant.tracked_names)}, measures {', '.join(plant.outputs)}"]
     if form is not None and report.zero_dynamics is not None:
         stable = "stable in each cell" if (report.zero_dynamics.real < 0).all() else "not stable in some cell"
         internal = f"internal states {', '.join(form.eta_names)}, {stable}" if form.eta_names else "no internal states"

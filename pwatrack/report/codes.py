@@ -65,17 +65,13 @@ def code_of(message: str, exit_code: ExitCode) -> str:
         >>> code_of("unknown name 'k9'", ExitCode.INVALID), code_of("something else", ExitCode.UNDECIDED)
         ('P203', 'P500')
     """
-    for kind in CODES:
-        if kind.code[1] == str(int(exit_code)) and re.search(kind.like, message):
-            return kind.code
-    return f"P{int(exit_code)}00"
+    number = str(int(exit_code))
+    fits = (kind.code for kind in CODES if kind.code[1] == number and re.search(kind.like, message))
+    return next(fits, f"P{number}00")
 
 
 def explanation(code: str) -> str:
-    """Return what a code means.
-
-    Raises:
-        InvalidSpec: If there is none of this name.
+    """Return what a code means; raises InvalidSpec if there is none of this name.
 
     Example:
         >>> print(explanation("p302"))

@@ -13,7 +13,6 @@ from pwatrack.report.certificate import design_certificate, generator_content
 from pwatrack.report.run_folder import json_text
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.spec.spec import Spec
-from pwatrack.workflow.outcome import SimulatedLoop
 from pwatrack.workflow.pipeline import start_of
 
 
@@ -49,15 +48,11 @@ def known_start(spec: Spec, controller: ProvedController) -> dict[str, Any] | No
         return None
     try:
         loop = closed_loop(controller, spec.scenario.conditions)
-        return _of_controller(loop, start_of(spec, loop)[0])
+        return starts(loop, start_of(spec, loop)[0])
     except PwatrackError:
         return None
 
 
-def starts(result: SimulatedLoop) -> dict[str, Any]:
-    """Return where observer and generator of a run started."""
-    return _of_controller(result.loop, result.start)
-
-
-def _of_controller(loop: ClosedLoop, start: Array) -> dict[str, Any]:
+def starts(loop: ClosedLoop, start: Array) -> dict[str, Any]:
+    """Return where observer and generator of a loop start."""
     return {"x_hat": start[loop.at.observer].tolist(), "eta_hat": start[loop.at.eta_hat].tolist()}

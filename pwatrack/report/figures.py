@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 
 from pwatrack.arrays import Array
-from pwatrack.control.controller import ProvedController
 from pwatrack.control.words import load_kind
 from pwatrack.simulation.figures import Figures
 from pwatrack.simulation.region import BoxRegion, Region
-from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.requirement import RANGES
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.outcome import SimulatedLoop
-from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 _OF_STEADY_STATE = ("largest_multiplier", "steady_state_residual")
@@ -108,11 +105,6 @@ def load_content(result: SimulatedLoop) -> dict[str, dict[str, Any]]:
     }
 
 
-def design_remarks(spec: Spec, controller: ProvedController) -> list[str]:
-    """Return what was noticed of a design and is no promise."""
-    return [*controller.plant.remarks, *reference_remarks(spec, controller.form), *sampling_remarks(controller)]
-
-
 def norm_unit(spec: Spec, names: Sequence[str]) -> str:
     """Return the unit of the norm of some signals: of several it is in sizes."""
     return spec.problem.units.get(names[0], "") if len(names) == 1 else "sizes"
@@ -133,7 +125,6 @@ def percent(share: float) -> str:
 
 
 def _region(region: Region, names: Sequence[str]) -> dict[str, Any]:
-    """Return what of a region varies, by name."""
     if isinstance(region, BoxRegion):
         ends = zip(names, region.low.tolist(), region.high.tolist(), strict=True)
         return {"box": {name: [low, high] for name, low, high in ends if low < high}}

@@ -4,6 +4,7 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from itertools import repeat
 from math import degrees, isfinite
 from pathlib import Path
 from typing import Any
@@ -23,21 +24,13 @@ from pwatrack.lmi.infeasibility import Impossibility
 from pwatrack.report.certificate import bound_content, refusal_certificate
 from pwatrack.report.controller import known_start, starts, written
 from pwatrack.report.drawing import Picture, begin, picture
-from pwatrack.report.figures import (
-    design_remarks,
-    ensemble_measures,
-    figure_content,
-    load_content,
-    measures,
-    member_figures,
-    norm_unit,
-)
+from pwatrack.report.figures import ensemble_measures, figure_content, load_content, measures, member_figures, norm_unit
 from pwatrack.report.kept_spec import keep
 from pwatrack.report.page import page
 from pwatrack.report.parameters import box_figures, how_far_content, largest_content
 from pwatrack.report.required import Checked
 from pwatrack.report.run_folder import PAGE, REFUSAL, SUMMARY, Plots, RunFolder, run_folder
-from pwatrack.report.screen import Findings, first_rows
+from pwatrack.report.screen import Findings
 from pwatrack.simulation.closed_loop import ClosedLoop, Response
 from pwatrack.simulation.flow import SwitchedPart
 from pwatrack.simulation.layout import Actuator, RateLimit
@@ -97,20 +90,13 @@ def write(
     """Write all files of a design, and those of its run and ensemble; return the folder, which is made.
 
     An earlier run in it is replaced, other files stay; raises InvalidSpec, with nothing changed, if that cannot be.
-
-    Args:
-        found, fronts: What came out, and what `pareto` returned for controller and observer.
-        broken: Why a simulation broke off, if it did.
-        effort, warned: What it took, and whether warnings and margins are told, too: for run.json.
-        summary: For summary.txt.
-        plots, executor: Whether pictures and the page are made, or only if the run does not end as its spec expects;
-            who draws them, but for ensemble.png, in other processes while tables are written.
+    `fronts` are what `pareto` returned, `broken` is why a simulation broke off, `summary` is for summary.txt; for
+    run.json are `effort`, what it took, and, if `warned`, warnings and margins. `plots`: whether pictures and the page
+    are made, or only if the run does not end as its spec expects, by processes of an `executor`, if there is one.
     """
-    spec, result = found.spec, found.result
-    controller = found.controller if result is None else result.controller
-    start = known_start(spec, controller) if result is None else starts(result)
+    spec, controller, result = found.spec, found.controller, found.result
     index = _index(spec, effort) | proved_content(spec, controller)
-    index |= {"remarks": design_remarks(spec, controller)} if result is None else _result_content(result, index)
+    index |= {"remarks": found.remarks} if result is None else _result_content(result, index)
     if found.many:
         index["ensemble"] = ensemble_measures(found.many)
     if found.missed:
@@ -120,15 +106,14 @@ def write(
     said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)
     why = ["".join(c if c.isprintable() else " " for c in said)] if said else []  # it may have the path of the spec
     with run_folder(folder) as run:
-        certificate = _design_files(run, spec, controller, start, [*found.missed, *why])
+        certificate = _design_files(run, found, [*found.missed, *why])
         if fronts:
             _fronts(run, spec, fronts)
         if result is not None:
             wanted = plots == "all" or (plots == "failed" and index["exit"] != spec.expected_exit)
             pictures = _run_files(run, found, result, executor, drawn=wanted)
             if wanted:
-                first = list(first_rows(found))
-                run.text(PAGE, page(result, first, pictures, certificate=certificate, summary=summary))
+                run.text(PAGE, page(found, pictures, certificate=certificate, summary=summary))
         if warned:
             index |= {"warnings": list(found.assessment.warnings), "questions": list(found.assessment.questions)}
             index["margins"] = [_margin_content(one) for one in found.assessment.margins]
@@ -156,7 +141,6 @@ def _run_files(
 
 
 def _result_content(result: SimulatedLoop, proved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the index says of a simulation, beside what is proved."""
     # of what goes to 0: what each column that has a desired value counts in
     sizes = dict(zip(result.controller.error_names, result.response.error_sizes.tolist(), strict=True))
     content: dict[str, Any] = {
@@ -177,10 +161,10 @@ def _result_content(result: SimulatedLoop, proved: Mapping[str, Any]) -> dict[st
     return content
 
 
-def _design_files(
-    run: RunFolder, spec: Spec, controller: ProvedController, start: dict[str, Any] | None, failed: Sequence[str]
-) -> str:
+def _design_files(run: RunFolder, found: Findings, failed: Sequence[str]) -> str:
     """Write what a design leaves, and return the text of certificate.json."""
+    spec, controller, result = found.spec, found.controller, found.result
+    start = known_start(spec, controller) if result is None else starts(result.loop, result.start)
     keep(run, spec)
     costs = {role.name: X for claim in controller.claims_of(Costs) for role, X in claim.X.items()}
     run.json("gains.json", gain_content(controller.design.K, controller.design.L, costs))
@@ -205,15 +189,9 @@ def gain_content(K: Array, L: Array, costs: Mapping[str, Array]) -> dict[str, An
 
 def proved_content(spec: Spec, controller: ProvedController) -> dict[str, Any]:
     """Return what of run.json follows from the spec and the proofs: nothing in it is simulated, or found on the way."""
-    return {
-        "name": spec.name,
-        "spec_sha256": spec.sha256,
-        "parameters": dict(spec.parameters),
-        "verdict": "proved",
-        "solver": spec.objectives.solver,
-        "sizes": _size_content(controller),
-        **figures(spec.words, controller),
-    }
+    index, known = _index(spec, _NONE), ("name", "spec_sha256", "parameters", "verdict", "solver")
+    told = {name: index[name] for name in known}
+    return told | {"sizes": _size_content(controller), **figures(spec.words, controller)}
 
 
 def _margin_content(one: Margins) -> dict[str, Any]:
@@ -250,9 +228,10 @@ def write_refusal(
     Return whether there is a proof. The spec is there if its file, at `path`, could be read, and `far` if it was looked
     for how far away it is; the rest is as for `write`.
     """
-    proof = None
+    proof, index = None, dict[str, Any]()
     if spec is None:
-        index = _unread(path, parameters, effort)
+        index |= {"name": path.stem, "spec": str(path), "spec_sha256": hashlib.sha256(spec_bytes(path)).hexdigest()}
+        index |= {"parameters": dict(parameters), **effort, "versions": versions()}
     else:
         index = _index(spec, effort) | {"remarks": list(spec.problem.plant.remarks)}
         if isinstance(refusal.evidence, Impossibility):
@@ -273,34 +252,20 @@ def write_refusal(
     return proof is not None
 
 
-def _unread(path: Path, parameters: Mapping[str, float | str], effort: Effort) -> dict[str, Any]:
-    """Return what run.json says of a spec that could not be read."""
-    return {
-        "name": path.stem,
-        "spec": str(path),
-        "spec_sha256": hashlib.sha256(spec_bytes(path)).hexdigest(),
-        "parameters": dict(parameters),
-        **effort,
-        "versions": versions(),
-    }
-
-
 def _fronts(run: RunFolder, spec: Spec, fronts: Sequence[Front]) -> None:
     from pwatrack.report.plots.canvas import png
     from pwatrack.report.plots.spread import pareto_fronts
 
-    with run.place("pareto.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["part", "rate", "norm", "chosen"])
-        for front in fronts:
-            points = [(*point, 0) for point in zip(front.rates.tolist(), front.norms.tolist(), strict=True)]
-            for rate, norm, chosen in sorted([*points, (*front.chosen, 1)]):
-                writer.writerow([front.role.name, repr(rate), repr(norm), chosen])
+    points = [
+        (front.role.name, *point)
+        for front in fronts
+        for point in sorted([*zip(front.rates.tolist(), front.norms.tolist(), repeat(0)), (*front.chosen, 1)])
+    ]
+    run.rows("pareto.csv", ["part", "rate", "norm", "chosen"], points)
     run.place("pareto.png").write_bytes(png(pareto_fronts(spec.name, fronts)))
 
 
 def _signals(run: RunFolder, result: SimulatedLoop) -> None:
-    """Write trace.csv and events.csv, block by block."""
     columns = [name for names, _ in signal_columns(result, result.response) for name in names]
     columns += ["cell_" + part.name.replace(" ", "_") for part in result.loop.flow.parts]
     with (
@@ -370,16 +335,11 @@ def _guard_text(loop: ClosedLoop, part: SwitchedPart, before: int, after: int) -
 def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], *, drawn: bool) -> dict[str, Picture]:
     """Write a row for each member, empty where it has no figure, and return the picture of all, by name."""
     kept, values, figures = many.ensemble, many.variation.values, member_figures(many)
-    header, rows = ["member", *values], zip(*(column.tolist() for column in values.values()), strict=True)
-    with run.place("ensemble.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([*header, *figures, "mode_changes", "unresolved", "outcome"])
-        errors = np.column_stack(list(figures.values())).tolist()
-        counts = np.column_stack([kept.mode_changes, kept.unresolved]).tolist()
-        ends = [outcome.kind for outcome in many.outcomes]
-        for number, (start, values, numbers, end) in enumerate(zip(rows, errors, counts, ends, strict=True), 1):
-            row = [*map(repr, start), *(repr(v) if np.isfinite(v) else "" for v in values), *numbers]
-            writer.writerow([number, *row, end])
+    header = ["member", *values, *figures, "mode_changes", "unresolved", "outcome"]
+    columns = [*values.values(), *figures.values(), kept.mode_changes, kept.unresolved]
+    rows = zip(*(np.where(np.isfinite(v), v.astype(object), "").tolist() for v in columns), strict=True)
+    ends = (outcome.kind for outcome in many.outcomes)
+    run.rows("ensemble.csv", header, ((k, *row, end) for k, (row, end) in enumerate(zip(rows, ends, strict=True), 1)))
     if not drawn:
         return {}
     from pwatrack.report.plots.spread import fan, starts_in_plane
@@ -389,7 +349,6 @@ def _ensemble(run: RunFolder, many: EnsembleResult, checked: Sequence[Checked], 
 
 
 def _index(spec: Spec, effort: Effort) -> dict[str, Any]:
-    """Return what the index says of any run that was proved."""
     return {
         "name": spec.name,
         "spec": str(spec.path),

@@ -65,7 +65,6 @@ def spec_of(index: Mapping[str, Any], folder: Path, sha256: str) -> tuple[Path |
 
 
 def _tables(copy: Path) -> dict[str, Path]:
-    """Return where the tables are that a copy of a spec refers to, by the names it has for them."""
     try:
         names = referenced_names(spec_bytes(copy))
     except PwatrackError:

@@ -1,12 +1,11 @@
 """How a design, a run or an ensemble shows itself in a notebook: first screen, pictures, signals as a table."""
 
-import base64
 from collections.abc import Callable, Mapping
-from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from pwatrack.errors import InvalidSpec
+from pwatrack.report.page import escaped, image
 from pwatrack.report.required import required
 from pwatrack.report.screen import Findings, first_rows, joined
 from pwatrack.workflow.variation import EnsembleResult
@@ -38,8 +37,7 @@ class Pictures(dict[str, "Figure"]):
 def _picture(name: str, figure: "Figure") -> str:
     from pwatrack.report.plots.canvas import png
 
-    data = base64.b64encode(png(figure)).decode()
-    return f'<img alt="{escape(name)}" style="max-width:48em;width:100%" src="data:image/png;base64,{data}">'
+    return image(png(figure), name, ' style="max-width:48em;width:100%"')
 
 
 def html(found: Findings) -> str:
@@ -52,10 +50,10 @@ def html(found: Findings) -> str:
         True
     """
     lines = (
-        f'<tr><th style="{_LEFT}">{escape(label)}</th><td style="{_LEFT}">{escape(text)}</td></tr>'
+        f'<tr><th style="{_LEFT}">{escaped(label)}</th><td style="{_LEFT}">{escaped(text)}</td></tr>'
         for label, text in joined(first_rows(found))
     )
-    table = f'<table style="max-width:60em"><caption>{escape(found.spec.name)}</caption>{"".join(lines)}</table>'
+    table = f'<table style="max-width:60em"><caption>{escaped(found.spec.name)}</caption>{"".join(lines)}</table>'
     if found.result is None:
         return table
     from pwatrack.report.plots.signals import tracking_error

@@ -13,11 +13,10 @@ from pwatrack.control.controller import Row
 from pwatrack.report.figures import percent
 from pwatrack.report.kept_spec import spec_text
 from pwatrack.report.run_folder import SUMMARY, json_text
-from pwatrack.report.screen import joined
+from pwatrack.report.screen import Findings, first_rows, joined
 from pwatrack.report.stays import Stay, stays
 from pwatrack.report.terminal import visible
 from pwatrack.version import __version__
-from pwatrack.workflow.outcome import SimulatedLoop
 
 _FIRST = ("outputs", "tracking_error", "input", "ensemble")  # of the pictures; then by name
 _WIDTH, _LEAST = 1000, 0.5  # dots of a row of bars, and of a bar
@@ -29,23 +28,21 @@ _CHECK = (
 _PLAIN = " <>=:/;,.()'!?-_@+*[]{}"  # letters that may stand in the address of a picture as they are
 
 
-def page(
-    result: SimulatedLoop,
-    first: Sequence[Row],
-    pictures: Mapping[str, str],
-    *,
-    certificate: str,
-    summary: str | None = None,
-) -> str:
+def page(found: Findings, pictures: Mapping[str, str], *, certificate: str, summary: str | None = None) -> str:
     """Return the page of a run, which needs no other file and no network; pictures are SVG files by name."""
-    title, ordered = result.spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
+    spec, result = found.spec, found.result
+    assert result is not None
+    changed = "".join(f"<p>with {escaped(f'{name} = {value}')}</p>" for name, value in spec.overrides.items())
+    text = spec_text(spec)
+    said = "it is not there any more as it was read" if text is None else _cut(text.decode())
+    title, ordered = spec.name, [*_FIRST, *sorted(pictures.keys() - {*_FIRST})]
     body = Template(files("pwatrack.report").joinpath("page.html").read_text(encoding="utf-8")).substitute(
         title=escaped(title),
-        screen=_rows(joined(first)),
+        screen=_rows(joined(first_rows(found))),
         pictures="".join(_picture(name, pictures[name]) for name in ordered if name in pictures),
         cells="".join(_part(part, rows, result.end) for part, rows in stays(result, _WIDTH)),
-        claims="".join(_claims(result, json.loads(certificate))) + _unfolds(f"All of {SUMMARY}", summary or ""),
-        spec=_spec(result),
+        claims="".join(_claims(found, json.loads(certificate))) + _unfolds(f"All of {SUMMARY}", summary or ""),
+        spec=f"{changed}<pre>{escaped(said)}</pre>",
     )
     return document(title, body)
 
@@ -76,9 +73,9 @@ def _part(part: str, rows: Sequence[Stay], end: float) -> str:
     return "".join([*found, f'<tr><th></th><td></td><td><div class="note ends">{ends}</div></td></tr></table>'])
 
 
-def _claims(result: SimulatedLoop, certificate: Mapping[str, Any]) -> Iterator[str]:
+def _claims(found: Findings, certificate: Mapping[str, Any]) -> Iterator[str]:
     """Yield each claim: in a line what it is, unfolded what it says, its statement, its numbers and how to check it."""
-    words, controller = result.spec.words, result.controller
+    words, controller = found.spec.words, found.controller
     for claim in controller.claims:
         rows = list(claim.rows(words, controller))
         keys = [key for key in claim.nothing if certificate.get(key)]
@@ -91,15 +88,6 @@ def _claims(result: SimulatedLoop, certificate: Mapping[str, Any]) -> Iterator[s
             parts.append(_unfolds("Its numbers", json_text({key: certificate[key] for key in keys})))
         title = (type(claim).__doc__ or type(claim).__name__).partition("\n")[0].rstrip(".")
         yield f'<details class="claim"><summary>{escaped(title)}</summary>{"".join(parts)}</details>'
-
-
-def _spec(result: SimulatedLoop) -> str:
-    """Return the spec as it was read, and what was set in it from outside."""
-    spec = result.spec
-    changed = "".join(f"<p>with {escaped(f'{name} = {value}')}</p>" for name, value in spec.overrides.items())
-    text = spec_text(spec)
-    said = "it is not there any more as it was read" if text is None else _cut(text.decode())
-    return f"{changed}<pre>{escaped(said)}</pre>"
 
 
 def _unfolds(title: str, text: str) -> str:
@@ -126,10 +114,10 @@ def escaped(text: str) -> str:
     return html.escape(visible(text).encode("utf-8", "backslashreplace").decode())
 
 
-def image(picture: bytes | str, name: str) -> str:
-    """Return a picture with this name, in the page: a PNG file, or an SVG file as text."""
+def image(picture: bytes | str, name: str, more: str = "") -> str:
+    """Return a picture with this name and `more` attributes, in the page: a PNG file, or an SVG file as text."""
     if isinstance(picture, bytes):
         data = f"png;base64,{base64.b64encode(picture).decode()}"
     else:
         data = f"svg+xml,{quote(' '.join(picture.split()), safe=_PLAIN)}"
-    return f'<img src="data:image/{data}" alt="{escaped(name)}">'
+    return f'<img src="data:image/{data}" alt="{escaped(name)}"{more}>'

@@ -1,16 +1,17 @@
 """What `check` says of a plant, for people and for machines."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from pwatrack.arrays import amount, complex_text
 from pwatrack.control.applicability import Applicability
+from pwatrack.control.controller import Row
 from pwatrack.errors import PwatrackError
+from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.terminal import titled
+from pwatrack.report.terminal import print_rows
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that
@@ -20,41 +21,41 @@ def print_plant(
     console: Console, name: str, report: Applicability, reference: str, sizes: Sizes | None, remarks: Sequence[str] = ()
 ) -> None:
     """Say what the plant is, its routes, the reference and the sizes in force; of many cells or signals a few."""
+    print_rows(console, name, _plant_rows(report, reference, sizes, remarks))
+
+
+def _plant_rows(report: Applicability, reference: str, sizes: Sizes | None, remarks: Sequence[str]) -> Iterator[Row]:
     plant, form, cells, facets = report.plant, report.form, report.plant.cell_names, report.plant.partition.facets
-    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": cells}
-    orders = ", ".join(amount(len(names), kind) for kind, names in parts.items())
-    table = titled(name)
-    table.add_row("plant (1)", f"{orders}; continuous across {amount(len(facets), 'facet')}")
-    _some_rows(table, "cell", range(len(cells)), lambda i: _cell_text(report, i))
-    _some_rows(table, "facet", facets, lambda f: f"{cells[f.i]} | {cells[f.j]}, on {plant.hyperplane_text(f.k)}")
+    yield "plant (1)", f"{orders(plant)}; continuous across {amount(len(facets), 'facet')}"
+    zeros = [()] * len(cells) if report.zero_dynamics is None else report.zero_dynamics
+    said = (", ".join(complex_text(complex(v)) for v in row) for row in zeros)
+    each = [f"{name}: zero dynamics {text}" if text else name for name, text in zip(cells, said, strict=True)]
+    yield from _some_rows("cell", each, str)
+    yield from _some_rows("facet", facets, lambda f: f"{cells[f.i]} | {cells[f.j]}, on {plant.hyperplane_text(f.k)}")
     if form is not None:
         internal = ", ".join(form.eta_names) or "none"
-        table.add_row("form (11)", f"relative degree {form.degrees_text}, internal states η = {internal}")
-    for route, answer in report.routes().items():
-        table.add_row(route, answer)
-    table.add_row("design takes", report.taken)
+        yield "form (11)", f"relative degree {form.degrees_text}, internal states η = {internal}"
+    yield from report.routes().items()
+    yield "design takes", report.taken
     if reference:
-        table.add_row("reference", reference)
+        yield "reference", reference
     for k, text in enumerate(size_texts(sizes) if sizes else ()):
-        table.add_row("" if k else "sizes", text)
-    for remark in (*plant.remarks, *remarks):
-        table.add_row("remark", remark)
-    console.print(table)
+        yield "" if k else "sizes", text
+    yield from (("remark", remark) for remark in (*plant.remarks, *remarks))
 
 
-def _some_rows(table: Table, kind: str, things: Sequence[Any], text: Callable[[Any], str]) -> None:
-    """Add a row for each of some things, or for the first of many."""
+def orders(plant: PWASystem) -> str:
+    """Say how many states, inputs, outputs and cells a plant has."""
+    parts = {"state": plant.states, "input": plant.inputs, "output": plant.outputs, "cell": plant.cell_names}
+    return ", ".join(amount(len(names), kind) for kind, names in parts.items())
+
+
+def _some_rows(kind: str, things: Sequence[Any], text: Callable[[Any], str]) -> Iterator[Row]:
+    """Yield a row for each of some things, or for the first of many."""
     shown = things if len(things) <= _MOST_SHOWN else things[:_FEW]
-    for each in shown:
-        table.add_row(kind, text(each))
+    yield from ((kind, text(each)) for each in shown)
     if len(shown) < len(things):
-        table.add_row("", f"… and {len(things) - len(shown):,} more {kind}s (--json lists all)")
-
-
-def _cell_text(report: Applicability, i: int) -> str:
-    name = report.plant.cell_names[i]
-    values = () if report.zero_dynamics is None else report.zero_dynamics[i]
-    return f"{name}: zero dynamics {', '.join(complex_text(complex(v)) for v in values)}" if len(values) else name
+        yield "", f"… and {len(things) - len(shown):,} more {kind}s (--json lists all)"
 
 
 def check_json(

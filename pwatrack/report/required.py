@@ -35,21 +35,17 @@ _ABSENT = {  # why a run has no such figure
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A requirement of a signal ('' where the figure is not one of a signal), and what came out, also in words.
-
-    `found` is the figure, of an ensemble that of its worst member; infinite for a time that never comes. `short` is the
-    text for the first screen, `label` names the figure, and `members` has it of each member of an ensemble.
-    """
+    """A requirement of a signal, and what came out, also in words."""
 
     requirement: Requirement
-    signal: str
-    label: str
+    signal: str  # '' where the figure is not one of a signal
+    label: str  # of the figure
     unit: str
-    members: tuple[float, ...]
-    found: float
+    members: tuple[float, ...]  # the figure of each member of an ensemble
+    found: float  # the figure, of an ensemble that of its worst member; infinite for a time that never comes
     met: bool
     text: str
-    short: str
+    short: str  # the text for the first screen
 
     @property
     def content(self) -> dict[str, Any]:
@@ -71,9 +67,7 @@ def required(
 ) -> tuple[Checked, ...]:
     """Hold what a spec requires against what came out; what is about a run or an ensemble that there is none of waits.
 
-    Raises:
-        InvalidSpec: If a figure is required that this run has not, such as the overshoot over a reference that never
-            comes to rest.
+    Raises InvalidSpec for a figure that this run has not, as the overshoot over a reference that never comes to rest.
 
     Example:
         >>> from dataclasses import replace
@@ -139,10 +133,7 @@ def _values(asked: Requirement, members: Sequence[Mapping[str, Any]]) -> Iterato
 def _checked(
     asked: Requirement, signal: str, values: Mapping[int, float], unit: str, sampled: Container[int], rounded: float
 ) -> Checked:
-    """Hold the figure of each member against what is asked; one at the samples alone keeps no limit.
-
-    What it is `rounded` by is said with it, if that is not 0.
-    """
+    """Hold the figure of each member against what is asked; one at the samples alone keeps no limit."""
     best = asked.quantity.best
     worst = max(values, key=lambda k: values[k] if best == "at most" else -values[k])
     kept = sum(asked.met(value) and k not in sampled for k, value in values.items())

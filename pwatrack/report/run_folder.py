@@ -5,6 +5,7 @@ index says `incomplete` and names what is on its way, so that a run that is kill
 next one cannot clear away.
 """
 
+import csv
 import errno
 import fcntl
 import hashlib
@@ -13,10 +14,11 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from glob import escape
 from itertools import chain, count
 from pathlib import Path
 from tempfile import gettempdir
@@ -97,6 +99,11 @@ class RunFolder:
         """Add a text file."""
         self.place(name).write_text(content, encoding="utf-8")
 
+    def rows(self, name: str, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+        """Add a table as a CSV file."""
+        with self.place(name).open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows(chain([header], rows))
+
     def json(self, name: str, content: object) -> None:
         """Add a JSON file; floats keep every bit."""
         self.text(name, json_text(content))
@@ -117,7 +124,9 @@ class RunFolder:
                     raise IsADirectoryError(errno.EISDIR, f"'{name}' is a folder there")
             known = _index(self.path).get("files", {})
             there = [file.name for file in self.path.iterdir() if NAMES.fullmatch(file.name) and not file.is_dir()]
-            old = {name: known[name] for name in there if name in known and _is(self.path / name, known[name])}
+            files = [self.path / name for name in there if name in known]
+            files = [file for file in files if file.is_file() and not file.is_symlink()]
+            old = {file.name: known[file.name] for file in files if _record(file) == known[file.name]}
             self._write_index({**index, "files": new}, INDEX)
             self._write_index({"verdict": INCOMPLETE, "files": old}, _GOING)
             self._write_index({"verdict": INCOMPLETE, "files": new}, _COMING)
@@ -141,10 +150,7 @@ class RunFolder:
 
 @contextmanager
 def run_folder(path: str | Path) -> Iterator[RunFolder]:
-    """Open a run folder; the block ends with `commit`, or leaves the folder as it was.
-
-    Raises:
-        InvalidSpec: If the folder cannot be written.
+    """Open a run folder; the block ends with `commit`, or leaves it as it was. InvalidSpec if it cannot be written.
 
     Example:
         >>> with run_folder("/tmp/pwatrack-example") as run:
@@ -155,41 +161,37 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
         ('proved', ['gains.json'])
     """
     path, left = Path(path), _LEFT.get()
-    try:
-        home = path if left is None else Path(gettempdir()) / f"pwatrack-{os.getuid()}"
-        home.mkdir(parents=True, exist_ok=True)
-        stage = home / f"{_STAGE}{secrets.token_hex(8)}"
-        with _alone(home):  # or another run would take the stage for one that nobody owns
-            sweep(home)
-            stage.mkdir()
-            owner = _locked(os.open(stage, os.O_RDONLY | os.O_DIRECTORY))
-        try:
-            yield RunFolder(path, stage, left)
-        finally:
-            shutil.rmtree(stage, ignore_errors=True)
-            os.close(owner)
-    except OSError as error:
-        raise _unwritable(f"results to {path}", error, "choose another --out") from None
+    home = path if left is None else Path(gettempdir()) / f"pwatrack-{os.getuid()}"
+    with _hidden(home, _STAGE, Path.mkdir, f"results to {path}", "choose another --out") as stage:
+        yield RunFolder(path, stage, left)
 
 
 @contextmanager
 def written_at_once(path: Path) -> Iterator[Path]:
     """Return a path to write to, which takes the place of `path` when the block ends, or raise InvalidSpec."""
-    prefix = f".{path.name[:100]}."
-    temporary = path.with_name(prefix + secrets.token_hex(8))
+    with _hidden(path.parent, f".{path.name[:100]}.", Path.touch, str(path), "choose another path") as temporary:
+        yield temporary
+        temporary.replace(path)
+
+
+@contextmanager
+def _hidden(home: Path, name: str, make: Callable[[Path], None], said: str, hint: str) -> Iterator[Path]:
+    """Make a file or folder whose name begins so, and remove it in the end; raise InvalidSpec where that fails."""
+    temporary = home / f"{name}{secrets.token_hex(8)}"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        earlier = re.compile(re.escape(prefix) + "[0-9a-f]{16}")
-        _sweep(file for file in path.parent.iterdir() if earlier.fullmatch(file.name))
-        owner = _locked(os.open(temporary, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        home.mkdir(parents=True, exist_ok=True)
+        with _alone(home):  # or another would take it for one that nobody owns
+            sweep(home, name)
+            make(temporary)
+            owner = _locked(os.open(temporary, os.O_RDONLY))
         try:
             yield temporary
-            temporary.replace(path)
         finally:
-            temporary.unlink(missing_ok=True)
+            _remove(temporary)
             os.close(owner)
     except OSError as error:
-        raise _unwritable(str(path), error, "choose another path") from None
+        message = f"cannot write {said}: {error.strerror or error}"
+        raise InvalidSpec(Problem(message=message, hint=hint)) from None
 
 
 def read_index(path: str | Path) -> dict[str, Any] | None:
@@ -228,7 +230,6 @@ def kept_files(path: Path) -> list[str]:
 
 
 def _index(path: Path) -> dict[str, Any]:
-    """Return the index in a folder if it is one of ours, else nothing."""
     try:
         index = json.loads(regular(path / INDEX, _LARGEST).decode("utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -242,11 +243,6 @@ def _record(file: Path) -> dict[str, object]:
         return {"bytes": file.stat().st_size, "sha256": hashlib.file_digest(content, "sha256").hexdigest()}
 
 
-def _is(file: Path, known: object) -> bool:
-    """Whether a file is still as a run wrote it."""
-    return file.is_file() and not file.is_symlink() and _record(file) == known
-
-
 def _keep(file: Path) -> None:
     """Move a file out of the way that is not ours to remove, if there is one."""
     if os.path.lexists(file):
@@ -254,20 +250,20 @@ def _keep(file: Path) -> None:
         file.rename(next(name for name in names if not os.path.lexists(name)))
 
 
-def sweep(path: Path) -> None:
+def sweep(path: Path, name: str = _STAGE) -> None:
     """Remove what runs that were killed left half-written in a folder: nobody holds their lock."""
-    _sweep(path.glob(f"{_STAGE}*"))
-
-
-def _sweep(leftovers: Iterable[Path]) -> None:
-    for leftover in leftovers:
+    for leftover in path.glob(escape(name) + "[0-9a-f]" * 16):
         with suppress(OSError):  # it has gone, or its owner is at work, or nobody can tell
             owner = os.open(leftover, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
                 fcntl.flock(owner, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+                _remove(leftover)
             finally:
                 os.close(owner)
+
+
+def _remove(path: Path) -> None:
+    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def _locked(opened: int) -> int:
@@ -287,31 +283,16 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def _unwritable(what: str, error: OSError, hint: str) -> InvalidSpec:
-    return InvalidSpec(Problem(message=f"cannot write {what}: {error.strerror or error}", hint=hint))
-
-
 def json_text(content: object) -> str:
     """Return JSON with each row of a matrix on one line; floats keep every bit."""
     return _indented(content, "\n") + "\n"
 
 
 def _indented(content: Any, line: str) -> str:
-    """Return JSON as `json.dumps` indents it, but with each row of a matrix on one line."""
     deeper = line + "  "
     if isinstance(content, dict) and content:
         parts = [f"{json.dumps(str(key))}: {_indented(value, deeper)}" for key, value in content.items()]
         return "{" + deeper + f",{deeper}".join(parts) + line + "}"
-    if _is_table(content):
-        whole = json.dumps(content, allow_nan=False)
-        if whole.count("[") == len(content) + 1 and '"' not in whole and "{" not in whole:  # faster, all rows at once
-            return "[" + deeper + whole[1:-1].replace("], [", f"],{deeper}[") + line + "]"
     if isinstance(content, list | tuple) and any(isinstance(value, dict | list | tuple) for value in content):
         return "[" + deeper + f",{deeper}".join(_indented(value, deeper) for value in content) + line + "]"
     return json.dumps(content, allow_nan=False)
-
-
-def _is_table(content: Any) -> bool:
-    """Say whether something may be a list of rows, by its first entry."""
-    rows = isinstance(content, list) and bool(content) and all(type(row) is list for row in content)
-    return rows and not (content[0] and isinstance(content[0][0], dict | list | tuple))

@@ -21,18 +21,20 @@ from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBox
 from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController, Row
-from pwatrack.report.figures import SIMULATED, design_remarks, ensemble_measures, norm_unit, percent
+from pwatrack.report.figures import SIMULATED, ensemble_measures, norm_unit, percent
 from pwatrack.report.parameters import largest_text
 from pwatrack.report.required import Checked, required
 from pwatrack.report.run_folder import SUMMARY, kept_files, read_index
 from pwatrack.report.terminal import visible
 from pwatrack.simulation.figures import ERRORS
 from pwatrack.simulation.margins import worst
+from pwatrack.simulation.sampled_runs import sampling_remarks
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import covered, tube_bounds
 from pwatrack.workflow.cautions import Assessment, assessed
 from pwatrack.workflow.how_far import LargestBox
 from pwatrack.workflow.outcome import SimulatedLoop
+from pwatrack.workflow.tracking import reference_remarks
 from pwatrack.workflow.variation import EnsembleResult
 
 LINES, COLUMNS = 10, 80  # of the first screen
@@ -102,6 +104,14 @@ class Findings:
         return assessed(self.spec, self.controller)
 
     @property
+    def remarks(self) -> list[str]:
+        """What was noticed and is no promise."""
+        if self.result is not None:
+            return list(self.result.remarks)
+        of_reference = reference_remarks(self.spec, self.controller.form)
+        return [*self.controller.plant.remarks, *of_reference, *sampling_remarks(self.controller)]
+
+    @property
     def not_looked_at(self) -> Iterator[Row]:
         """Whether members of an ensemble are required to keep limits in a run without one."""
         wishes = sum(asked.share is not None for asked in self.spec.requirements)
@@ -124,8 +134,7 @@ def first_rows(found: Findings) -> Iterator[Row]:
     yield from _came_out(found)
     yield from (("warning", text) for text in assessment.warnings)
     yield from (("question", text) for text in assessment.questions)
-    remarks = design_remarks(found.spec, found.controller) if result is None else result.remarks
-    yield from (("remark", text) for text in remarks)
+    yield from (("remark", text) for text in found.remarks)
     yield from rows
     if found.largest is not None:
         yield "largest box", largest_text(found.largest)
@@ -184,11 +193,14 @@ def _settles(spec: Spec, controller: ProvedController) -> bool:
 
 
 def _came_out(found: Findings) -> Iterator[Row]:
-    """Yield what is missed, how the simulation went and with what, how an ensemble went, and what is met."""
     checked, result, many = found.checked, found.result, found.many
     yield from (("missed", each.text) for each in checked if not each.met)
     if result is not None:
-        how, outcome = _conditions(result), result.outcome
+        conditions, outcome = result.loop.conditions, result.outcome
+        had = [said for name, said in _PARTS.items() if getattr(conditions, name) is not None]
+        if conditions.sampling is not None:
+            had.insert(0, f"sampled every {number_text(conditions.sampling.sample_time)} s")
+        how = ", ".join([f"{result.end:g} s", *(had or ["ideal loop"])])
         error = f"{outcome.worst or outcome.final}{result.figures.seen(*ERRORS)}"
         ends = "is as required" if outcome.kind == "off" and _as_required(found) else _ENDS.get(outcome.kind)
         said = f"{ends}, largest error {error} in the last tenth; {outcome.largest} at worst"
@@ -212,16 +224,6 @@ def _as_required(found: Findings) -> bool:
     own = [each.requirement for each in wished if each.requirement.share is None]
     names = {name for asked in own for name in ([asked.signal] if asked.signal else found.controller.error_names)}
     return all(each.met for each in wished) and names >= set(found.controller.error_names)
-
-
-def _conditions(result: SimulatedLoop) -> str:
-    """Say what the loop that ran had, in a word or two each, and what it had not."""
-    conditions = result.loop.conditions
-    had = [said for name, said in _PARTS.items() if getattr(conditions, name) is not None]
-    if conditions.sampling is not None:
-        had.insert(0, f"sampled every {number_text(conditions.sampling.sample_time)} s")
-    had = had or ["ideal loop"]
-    return ", ".join([f"{result.end:g} s", *had])
 
 
 def _margins(found: Findings) -> Iterator[Row]:
@@ -283,9 +285,13 @@ def _inputs(result: SimulatedLoop) -> Iterator[Row]:
         yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f"{seen} ({of})"
 
 
-def screen(name: str, rows: Iterable[Row], folder: Path | None = None) -> list[str]:
-    """Return the lines of the first screen: the title, and at most nine more of what there is to say."""
-    (_, verdict), *others = joined([*rows, *_files(folder)])
+def screen(name: str, rows: Iterable[Row], folder: Path) -> list[str]:
+    """Return the lines of the first screen: the title, and at most nine more of what there is to say, also of files."""
+    count, lines = len((read_index(folder) or {"files": ()})["files"]), [*rows]
+    lines.append(("files", f"{folder / SUMMARY!s} says all; {count} more files"))
+    if kept := kept_files(folder):
+        lines.append(("files", f"kept, as no run had left them so: {', '.join(kept)}"))
+    (_, verdict), *others = joined(lines)
     room = COLUMNS - len(f": {verdict}")
     return [f"{textwrap.shorten(visible(name), room, placeholder=' …')}: {verdict}", *fitted(others, LINES - 1)]
 
@@ -353,13 +359,3 @@ def _lines(label: str, text: str, lines: int | None) -> list[str]:
         placeholder=" …",
         break_on_hyphens=False,
     ) or [label]
-
-
-def _files(folder: Path | None) -> Iterator[Row]:
-    """Yield where the files are, and which files of the user's were kept."""
-    if folder is None:
-        return
-    count = len((read_index(folder) or {"files": ()})["files"])
-    yield "files", f"{folder / SUMMARY!s} says all; {count} more files"
-    if kept := kept_files(folder):
-        yield "files", f"kept, as no run had left them so: {', '.join(kept)}"

@@ -8,7 +8,7 @@ import signal
 import sys
 import traceback
 import unicodedata
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
@@ -118,18 +118,22 @@ def told(error: Exception) -> tuple[int, list[str]]:
         (<ExitCode.BUG: 1>, ['error: no proof [P100]'])
     """
     if isinstance(error, PwatrackError):
+        verdict, wrong = error.code.verdict, faults(error)
         if STYLE.get() == "json":
-            return error.code, [as_json(error)]
+            notes = [note.strip() for note in getattr(error, "__notes__", ())]
+            problems = [{"code": fault.code, **asdict(fault)} for fault in wrong]
+            content = {"exit": int(error.code), "verdict": verdict, "problems": problems, "notes": notes}
+            return error.code, [json.dumps(content)]
         if STYLE.get() == "github":
-            return error.code, annotations(error)
+            return error.code, [annotated(f, title=verdict, file=f.place.file if f.place else "") for f in wrong]
         return error.code, [*refusal_lines(error), *getattr(error, "__notes__", ())]
     where = traceback.extract_tb(error.__traceback__)[-1]  # whatever else comes is a bug of ours
     place = f"{Path(where.filename).name}:{where.lineno}"
+    what, hint = f"a bug in pwatrack: {type(error).__name__}: {error}", "please report it together with the spec"
     if isinstance(error, MemoryError):
-        said = f"error: out of memory: {error or 'nothing more is to be had'} ({place}) [P100]"
-        return ExitCode.BUG, [said, "  hint: fewer states, cells or samples, or more memory"]
-    said = f"error: a bug in pwatrack: {type(error).__name__}: {error} ({place}) [P100]"
-    return ExitCode.BUG, [said, "  hint: please report it together with the spec"]
+        what = f"out of memory: {error or 'nothing more is to be had'}"
+        hint = "fewer states, cells or samples, or more memory"
+    return ExitCode.BUG, [f"error: {what} ({place}) [P100]", f"  hint: {hint}"]
 
 
 def _end(code: int, *messages: str) -> NoReturn:
@@ -196,9 +200,10 @@ class JobFault:
 
 def faults(error: PwatrackError) -> tuple[JobFault, ...]:
     """Return what is wrong, one by one."""
-    codes = (code_of(problem.message, error.code) for problem in error.problems)
-    both = zip(error.problems, codes, strict=True)
-    return tuple(JobFault(message=p.message, code=code, hint=p.hint, place=p.place) for p, code in both)
+    return tuple(
+        JobFault(message=p.message, code=code_of(p.message, error.code), hint=p.hint, place=p.place)
+        for p in error.problems
+    )
 
 
 def excerpt(place: Place, message: str) -> list[str]:
@@ -209,7 +214,10 @@ def excerpt(place: Place, message: str) -> list[str]:
         line = text.split("\n")[place.line - 1].rstrip("\r").expandtabs(1)
     except (OSError, ValueError, IndexError, PwatrackError):
         return []
-    first, length = _meant(line, place.column - 1, message)
+    first, length = min(max(place.column - 1, 0), len(line)), 1
+    quoted = re.search(r"'([^']{1,60})'", message)
+    if quoted and (found := re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(place.column - 1, 0))):
+        first, length = found.start(), len(quoted[1])
     start = max(0, min(first - _WIDEST // 2, len(line) - _WIDEST))
     before, shown = "… " if start else "", line[start : start + _WIDEST]
     margin = f"{place.line:5} | "
@@ -221,14 +229,6 @@ def _bytes(path: Path) -> bytes:
     if not path.is_file() or path.stat().st_size > _LARGEST:
         raise ValueError("it is not looked into")
     return path.read_bytes()
-
-
-def _meant(line: str, first: int, message: str) -> tuple[int, int]:
-    """Return where in a line that is what a message is about, and how long it is."""
-    quoted = re.search(r"'([^']{1,60})'", message)
-    if quoted and (found := re.compile(rf"(?<!\w){re.escape(quoted[1])}(?!\w)").search(line, max(first, 0))):
-        return found.start(), len(quoted[1])
-    return min(max(first, 0), len(line)), 1
 
 
 def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], str] = str) -> str:
@@ -244,24 +244,12 @@ def annotated(fault: JobFault, *, title: str, file: str, said: Callable[[str], s
     return f"::error file={file}{place},title={title}::{said(fault.text).translate(_MESSAGE)}"
 
 
-def annotations(error: PwatrackError) -> list[str]:
-    """Return a workflow command for each problem of a refusal."""
-    verdict = error.code.verdict
-    return [annotated(f, title=verdict, file=f.place.file if f.place else "") for f in faults(error)]
-
-
-def as_json(error: PwatrackError) -> str:
-    """Return a refusal as one line of JSON."""
-    problems = [{"code": fault.code, **asdict(fault)} for fault in faults(error)]
-    notes = [note.strip() for note in getattr(error, "__notes__", ())]
-    return json.dumps({"exit": int(error.code), "verdict": error.code.verdict, "problems": problems, "notes": notes})
-
-
-def titled(title: str | None) -> Table:
-    """Return an empty table of labels and sentences."""
-    table = Table(
-        show_header=False, box=None, padding=(0, 2, 0, 0), title=title or None, title_justify="left", title_style="bold"
-    )
+def print_rows(console: Console, title: str | None, rows: Iterable[tuple[str, str]]) -> None:
+    """Print labels and sentences as a table."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0), title=title or None, title_justify="left")
+    table.title_style = "bold"
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    return table
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)

@@ -22,23 +22,18 @@ from pwatrack.arrays import Array
 from pwatrack.workflow.outcome import SimulatedLoop
 
 # Dark solid and light dashed: told apart without colour too.
-ACTUAL: dict[str, Any] = {"color": "#12355b", "linewidth": 1.3}
-DESIRED: dict[str, Any] = {"color": "#e08e2b", "linewidth": 1.1, "linestyle": (0, (4, 2))}
-BEHIND: dict[str, Any] = {"color": "#f0bc80", "linewidth": 2.6, "zorder": 1.5}  # what another line runs along
-ESTIMATE: dict[str, Any] = {"color": "0.25", "linewidth": 1.2, "linestyle": (0, (1, 1.2))}
-BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6, 2))}
-BAND: dict[str, Any] = {"color": "0.88", "linewidth": 0, "zorder": 0}
-WORST: dict[str, Any] = {"color": "black", "linewidth": 0.9, "linestyle": (0, (3, 1.5))}
-LIMIT: dict[str, Any] = {"color": "0.3", "linewidth": 1.0, "linestyle": (0, (5, 1, 1, 1))}
-BINDS: dict[str, Any] = {
-    "color": "0.65",
-    "linewidth": 5,
-    "marker": "s",
-    "markersize": 5,
-    "markeredgewidth": 0,
-    "zorder": 1,
+LOOK: dict[str, dict[str, Any]] = {
+    "actual": {"color": "#12355b", "linewidth": 1.3},
+    "desired": {"color": "#e08e2b", "linewidth": 1.1, "linestyle": (0, (4, 2))},
+    "behind": {"color": "#f0bc80", "linewidth": 2.6, "zorder": 1.5},  # what another line runs along
+    "estimate": {"color": "0.25", "linewidth": 1.2, "linestyle": (0, (1, 1.2))},
+    "bound": {"color": "0.45", "linewidth": 1.3, "linestyle": (0, (6, 2))},
+    "band": {"color": "0.88", "linewidth": 0, "zorder": 0},
+    "worst": {"color": "black", "linewidth": 0.9, "linestyle": (0, (3, 1.5))},
+    "limit": {"color": "0.3", "linewidth": 1.0, "linestyle": (0, (5, 1, 1, 1))},
+    "binds": {"color": "0.65", "linewidth": 5, "marker": "s", "markersize": 5, "markeredgewidth": 0, "zorder": 1},
+    "required": {"color": "#a3195b", "linewidth": 1.1, "linestyle": (0, (2, 1))},
 }
-REQUIRED: dict[str, Any] = {"color": "#a3195b", "linewidth": 1.1, "linestyle": (0, (2, 1))}
 WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
 ROUNDING = 1e-11  # of a signal: an error of it below that is rounding of the simulation, which no proof bounds
@@ -100,7 +95,11 @@ def _any_letter() -> Iterator[None]:
 def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
     """Name both axes, and show from the first to the last of these times, or of whatever goes to the right."""
     axes.set_xlabel(x, fontsize=9)
-    room = _height(axes)
+    spec: Any = axes.get_subplotspec()
+    figure: Any = axes.get_figure()
+    ratios = np.array(spec.get_gridspec().get_height_ratios())
+    share = float(ratios[spec.rowspan.start : spec.rowspan.stop].sum() / ratios.sum())
+    room = float(figure.get_size_inches()[1] - _AROUND) * share - _BELOW  # the height in inches, about
     size = _SIZE if len(y) < room / (_LETTER * _SIZE) else _SMALL
     short = _LONG.sub(lambda number: f"{float(number[0]):.3g}", y)
     kept = short.replace("+ ", "+\u00a0").replace("- ", "-\u00a0")  # a sign stays with what follows
@@ -112,15 +111,6 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
         axis.get_offset_text().set_fontsize(8)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
-
-
-def _height(axes: Axes) -> float:
-    """Return about how high a panel will be, in inches."""
-    spec: Any = axes.get_subplotspec()
-    figure: Any = axes.get_figure()
-    ratios = np.array(spec.get_gridspec().get_height_ratios())
-    share = float(ratios[spec.rowspan.start : spec.rowspan.stop].sum() / ratios.sum())
-    return float(figure.get_size_inches()[1] - _AROUND) * share - _BELOW
 
 
 def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
@@ -144,7 +134,7 @@ def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
 def band(axes: Axes, t: Array, low: Array, high: Array, name: str) -> None:
     """Fill what is between two curves, (K,) each, at no more times than can be told apart."""
     few = slice(None, None, max(1, len(t) // COLUMNS))
-    axes.fill_between(t[few], low[few], high[few], label=name, **BAND)
+    axes.fill_between(t[few], low[few], high[few], label=name, **LOOK["band"])
 
 
 def plain(text: str) -> str:

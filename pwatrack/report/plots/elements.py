@@ -1,7 +1,7 @@
 """The nonlinearities of a plant: each φ(s) with its slopes, what it adds to which rate, and where a run was."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import ceil
 from pathlib import Path
 
@@ -16,8 +16,7 @@ from pwatrack.model.contact import Contact
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.nonlinearity import Nonlinearity
 from pwatrack.model.pwa import PWASystem, linear_form_text
-from pwatrack.real import Real
-from pwatrack.report.plots.canvas import ACTUAL, DESIRED, ESTIMATE, label, plain, png, sheet
+from pwatrack.report.plots.canvas import LOOK, label, plain, png, sheet
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.spec.spec import Spec
 
@@ -26,7 +25,7 @@ _BEYOND = 0.25  # of what is to be seen, on either side of it
 _LETTERS = 48  # in a line above a panel, of two beside each other: 8 points each
 _LINE = 0.15  # inches of such a line
 _PANEL = 1.9  # inches
-_STYLES = ACTUAL, DESIRED, ESTIMATE  # of a contact at rest, closing and leaving
+_STYLES = LOOK["actual"], LOOK["desired"], LOOK["estimate"]  # of a contact at rest, closing and leaving
 _POINTS = 400  # of its curves
 
 
@@ -63,7 +62,11 @@ def _draw(
     axes: Axes, element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str, str], x: Array | None
 ) -> None:
     of, touches = element.of, isinstance(element, Contact)
-    marks = [float(mark) for mark in _marks(element)]
+    if isinstance(element, Contact):  # bends at rest
+        bends = [element.upper] if element.lower is None else [element.lower, element.upper]
+    else:
+        bends = [*element.function.breakpoints]
+    marks = [float(mark) for mark in bends]
     seen = [*marks, 0.0] if len(marks) == 1 else list(marks)
     if x is not None:
         s = x @ of.row + of.constant
@@ -85,8 +88,9 @@ def _draw(
             axes.plot(fine, [element(float(s), rate) for s in fine], label=said, **style)
         axes.legend(fontsize=7, frameon=False)
     else:
-        axes.plot(points, [element.function(s) for s in points], **ACTUAL)
-    form = _form(of, plant)
+        axes.plot(points, [element.function(s) for s in points], **LOOK["actual"])
+    form, constant = linear_form_text(of.row, plant.states), of.constant
+    form += f" {'-' if constant < 0 else '+'} {abs(constant):.6g}" if constant else ""
     text = f"{'' if form == 's' else 's = '}{form}{f' ({unit})' if unit else ''}"
     label(axes, plain(text), "φ(s, ṡ)" if touches else "φ(s)", points)
 
@@ -120,19 +124,6 @@ def _texts(element: Nonlinearity | Contact, plant: PWASystem, units: Mapping[str
     return "\n".join(part for line in lines for part in textwrap.wrap(line, letters, max_lines=3, placeholder=" …"))
 
 
-def _marks(element: Nonlinearity | Contact) -> Sequence[Real]:
-    """Return where φ bends at rest."""
-    if isinstance(element, Contact):
-        return [element.upper] if element.lower is None else [element.lower, element.upper]
-    return element.function.breakpoints
-
-
 def _unit(form: LinearForm, plant: PWASystem, units: Mapping[str, str]) -> str:
-    """Return the unit of a form, where it has one."""
     found = {units.get(name, "") for name, v in zip(plant.states, form.coefficients, strict=True) if float(v)}
     return found.pop() if len(found) == 1 else ""
-
-
-def _form(form: LinearForm, plant: PWASystem) -> str:
-    text, constant = linear_form_text(form.row, plant.states), form.constant
-    return f"{text} {'-' if constant < 0 else '+'} {abs(constant):.6g}" if constant else text

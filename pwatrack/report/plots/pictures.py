@@ -13,18 +13,9 @@ from pwatrack.arrays import Array, IntArray
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.pwa import linear_form_text
 from pwatrack.report.figures import percent
-from pwatrack.report.plots.canvas import ACTUAL, COLUMNS, DESIRED, canvas, label, legend, plain
+from pwatrack.report.plots import signals
+from pwatrack.report.plots.canvas import COLUMNS, LOOK, canvas, label, legend, plain
 from pwatrack.report.plots.elements import nonlinearities
-from pwatrack.report.plots.signals import (
-    control_input,
-    estimates,
-    internal_states,
-    observer_error,
-    outputs,
-    states,
-    steady_state,
-    tracking_error,
-)
 from pwatrack.report.stays import stays
 from pwatrack.workflow.outcome import SimulatedLoop
 
@@ -32,24 +23,21 @@ _HAIR = 0.5  # points: a stay that is shorter than a dot is seen all the same
 
 
 def pictures(result: SimulatedLoop) -> dict[str, Callable[[], Figure]]:
-    """Return what draws each picture, by its name.
-
-    tracking_error and observer_error are the paper's Figure 2, internal_states its Figure 3, steady_state its Figure 4.
-    """
+    """Return what draws each picture, by its name: of some the paper has one, which they name."""
     of_result = {
-        "tracking_error": tracking_error,
-        "observer_error": observer_error,
-        "outputs": outputs,
-        "states": states,
-        "input": control_input,
+        "tracking_error": signals.tracking_error,
+        "observer_error": signals.observer_error,
+        "outputs": signals.outputs,
+        "states": signals.states,
+        "input": signals.control_input,
         "cells": active_cells,
     }
     if result.response.eta.shape[1]:
-        of_result["internal_states"] = internal_states
+        of_result["internal_states"] = signals.internal_states
     if result.steady_state is not None:
-        of_result["steady_state"] = steady_state
+        of_result["steady_state"] = signals.steady_state
     if result.response.estimates.shape[1]:
-        of_result["estimates"] = estimates
+        of_result["estimates"] = signals.estimates
     found: dict[str, Callable[[], Figure]] = {name: partial(draw, result) for name, draw in of_result.items()}
     problem = result.spec.problem
     if problem.plant.elements:
@@ -72,9 +60,9 @@ def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Fig
     actual, desired = (x @ rows.T + constants for x in (response.x, response.x_d))
     last = min(result.controller.trajectory.exosystem.period or response.t[-1] / 2, response.t[-1])
     steady = response.t >= response.t[-1] - last
-    axes.plot(*actual.T, label="plant", **ACTUAL | {"linewidth": 0.8})
-    axes.plot(*desired[steady].T, label=f"desired, last {last:.4g} s", **DESIRED)
-    axes.plot(*actual[0], "o", color=ACTUAL["color"], markersize=5, label="start")
+    axes.plot(*actual.T, label="plant", **LOOK["actual"] | {"linewidth": 0.8})
+    axes.plot(*desired[steady].T, label=f"desired, last {last:.4g} s", **LOOK["desired"])
+    axes.plot(*actual[0], "o", color=LOOK["actual"]["color"], markersize=5, label="start")
     normals = np.linalg.lstsq(rows.T, plant.partition.H.T, rcond=None)[0].T
     seen = np.abs(normals @ rows - plant.partition.H).max(axis=1, initial=0.0) < 1e-9
     offsets = plant.partition.h - normals @ constants
@@ -131,7 +119,7 @@ def active_cells(result: SimulatedLoop) -> Figure:
     figure, panels = canvas(result, title, mosaic, height=1.4 + sum(heights), ratios=heights)
     for axes, (part, rows) in zip(panels, parts, strict=True):
         for row, stay in enumerate(rows):
-            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=ACTUAL["color"], linewidth=_HAIR, snap=False)
+            axes.broken_barh(stay.bars, (row - 0.4, 0.8), color=LOOK["actual"]["color"], linewidth=_HAIR, snap=False)
         names = [f"{plain(stay.name)}  {percent(stay.share)}" for stay in rows]
         axes.set_yticks(range(len(rows)), names, fontsize=8)
         axes.set_ylim(len(rows) - 0.4, -0.6)

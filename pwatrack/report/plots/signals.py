@@ -9,23 +9,7 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.report.figures import norm_unit
-from pwatrack.report.plots.canvas import (
-    ACTUAL,
-    BEHIND,
-    BINDS,
-    BOUND,
-    DESIRED,
-    ESTIMATE,
-    LIMIT,
-    REQUIRED,
-    ROUNDING,
-    band,
-    canvas,
-    label,
-    legend,
-    limits,
-    plain,
-)
+from pwatrack.report.plots.canvas import LOOK, ROUNDING, band, canvas, label, legend, limits, plain
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.spec.requirement import RANGES
@@ -65,7 +49,7 @@ def outputs(result: SimulatedLoop) -> Figure:
         drawn = _step_lines(axes, result, names[k], actual[:, k], desired[:, k]) if tracked else []
         return drawn + _limit_lines(axes, result, names[k])
 
-    curves = [(actual, "output", ACTUAL), (desired, "desired", DESIRED)]
+    curves = [(actual, "output", LOOK["actual"]), (desired, "desired", LOOK["desired"])]
     return _over_time(result, "Outputs", names, curves, lines, ends=True)
 
 
@@ -73,16 +57,16 @@ def states(result: SimulatedLoop) -> Figure:
     """Draw each state beside where it should be and what the observer takes it for."""
     response, names = result.response, result.spec.problem.plant.states[:_MOST]
     more = len(result.spec.problem.plant.states) - len(names)
-    curves = [(response.x, "plant", ACTUAL), (response.x_d, "desired", DESIRED), (response.x_hat, "estimate", ESTIMATE)]
+    curves = [(response.x, "plant", LOOK["actual"]), (response.x_d, "desired", LOOK["desired"])]
+    curves.append((response.x_hat, "estimate", LOOK["estimate"]))
     title = f"States{f', without {more} more' if more else ''}"
     return _over_time(result, title, names, curves, lambda axes, k: _limit_lines(axes, result, names[k]))
 
 
 def _limit_lines(axes: Axes, result: SimulatedLoop, name: str) -> list[float]:
-    """Draw the limits of an output or state, where it has some."""
     drawn = [limit for figure in RANGES for limit in limits(result, figure, name)]
     for limit in drawn:
-        axes.axhline(limit, label="limit", **LIMIT)
+        axes.axhline(limit, label="limit", **LOOK["limit"])
     return drawn
 
 
@@ -90,7 +74,7 @@ def estimates(result: SimulatedLoop) -> Figure:
     """Draw the estimate of each unknown load beside what it is."""
     loads, response = result.controller.plant.loads, result.response
     assert loads is not None
-    curves = [(response.estimates, "estimate", ACTUAL), (response.loads, "load", DESIRED)]
+    curves = [(response.estimates, "estimate", LOOK["actual"]), (response.loads, "load", LOOK["desired"])]
     return _over_time(result, "Unknown loads", loads.names, curves, ends=True)
 
 
@@ -106,13 +90,13 @@ def control_input(result: SimulatedLoop) -> Figure:
         if (actuator := result.loop.conditions.limits) is not None:
             drawn += [limit for limit in actuator[k].tolist() if np.isfinite(limit)]
             for limit in drawn:
-                axes.axhline(limit, label="limit", **LIMIT)
+                axes.axhline(limit, label="limit", **LOOK["limit"])
                 binds = np.abs(response.u[:, k] - limit) <= ROUNDING * np.abs(response.u[:, k]).max()
                 if binds.any():
-                    axes.plot(response.t, np.where(binds, limit, np.nan), label="at a limit", **BINDS)
+                    axes.plot(response.t, np.where(binds, limit, np.nan), label="at a limit", **LOOK["binds"])
         for wish in limits(result, "largest_input", names[k]):
             for sign in (-1, 1):
-                axes.axhline(sign * wish, label="required", **REQUIRED)
+                axes.axhline(sign * wish, label="required", **LOOK["required"])
             drawn += [-wish, wish]
         if (proved := result.bands.get(("input", k))) is not None:
             middle = response.u_ff[:, k]
@@ -122,15 +106,16 @@ def control_input(result: SimulatedLoop) -> Figure:
                 band(axes, response.t, middle - shown, middle + shown, "proved")
         return drawn
 
-    held = ACTUAL | ({"drawstyle": "steps-post"} if result.loop.conditions.sampling else {})
-    curves = [(response.u, said[0], held), (response.u_ff, said[1], BEHIND)]
+    held = LOOK["actual"] | ({"drawstyle": "steps-post"} if result.loop.conditions.sampling else {})
+    curves = [(response.u, said[0], held), (response.u_ff, said[1], LOOK["behind"])]
     return _over_time(result, "Control input", names, curves, lines, ends=True)
 
 
 def internal_states(result: SimulatedLoop) -> Figure:
     """Draw each internal state η with its desired trajectory from the generator (Figure 3)."""
     title = "Internal states" if result.controller.generator else "States"
-    curves = [(result.response.eta, "plant", ACTUAL), (result.response.eta_hat, _desired_label(result), DESIRED)]
+    desired = (result.response.eta_hat, _desired_label(result), LOOK["desired"])
+    curves = [(result.response.eta, "plant", LOOK["actual"]), desired]
     return _over_time(result, title, result.controller.trajectory.names, curves)
 
 
@@ -143,7 +128,7 @@ def steady_state(result: SimulatedLoop) -> Figure:
     figure, panels = _column(result, title, len(names))
     t = np.concatenate([trace.t, trace.t[1:] + period])
     for axes, name, values in zip(panels, names, trace.z.T, strict=False):
-        axes.plot(t, np.concatenate([values, values[1:]]), label=_desired_label(result), **ACTUAL)
+        axes.plot(t, np.concatenate([values, values[1:]]), label=_desired_label(result), **LOOK["actual"])
         axes.axvline(period, color="0.5", linewidth=0.8, linestyle=":", label="one period")
         label(axes, "time t in two periods (s)" if axes is panels[-1] else "", _labelled(result, name), t)
     legend(panels[0])
@@ -214,7 +199,6 @@ def _start(result: SimulatedLoop) -> float:
 
 
 def _column(result: SimulatedLoop, title: str, count: int) -> tuple[Figure, list[Axes]]:
-    """Return panels below each other."""
     each = 1.7 if count <= 6 else 1.1
     return canvas(result, title, [[k] for k in range(count)], height=1.2 + each * count)
 
@@ -275,23 +259,21 @@ def _step_lines(axes: Axes, result: SimulatedLoop, name: str, y: Array, y_d: Arr
     move.see(t, y, y_d)
     move.end(float(t[last_tenth(len(t)).start]))
     for limit in limits(result, "settling_time", name):
-        axes.axvline(move.start + limit, label="required", **REQUIRED)
+        axes.axvline(move.start + limit, label="required", **LOOK["required"])
         for edge in (-move.band, move.band):
             late = t >= move.start + limit
-            axes.plot(t[late], (move.target if move.rests else y_d[late]) + edge + 0 * t[late], **REQUIRED)
+            axes.plot(t[late], (move.target if move.rests else y_d[late]) + edge + 0 * t[late], **LOOK["required"])
     for limit in limits(result, "overshoot", name) if move.distance else ():
         drawn.append((move.highest if move.distance > 0 else move.lowest) + limit * move.distance)
-        axes.plot([move.start, t[-1]], drawn[-1:] * 2, label="required", **REQUIRED)
+        axes.plot([move.start, t[-1]], drawn[-1:] * 2, label="required", **LOOK["required"])
     return drawn
 
 
 def _desired_label(result: SimulatedLoop) -> str:
-    """Say where the desired trajectory comes from."""
     return "desired, from the generator (15)" if result.controller.generator else "desired, own response to the input"
 
 
 def _labelled(result: SimulatedLoop, name: str) -> str:
-    """Return the name of a signal with its unit."""
     unit = result.spec.problem.units.get(name, "")
     return f"{name} ({unit})" if unit else name
 
@@ -327,7 +309,7 @@ def observer_error(result: SimulatedLoop) -> Figure:
     figure, panels = _panels(result, title, "estimate", states, off, x, response.state_sizes)
     bound = result.bands.get(("estimate", 0)) if len(states) == 1 else result.observer_bound
     _magnitude(panels[-1], response.t, error, bound, floor, f"‖x̂ − x‖{f' ({unit})' if unit else ''}")
-    mark = REQUIRED | {"linestyle": "none", "marker": "_", "markersize": 14}
+    mark = LOOK["required"] | {"linestyle": "none", "marker": "_", "markersize": 14}
     for limit in limits(result, "final_observer_error"):
         panels[-1].plot(response.t[-1:], [limit], label="required at the end", **mark)
     legend(panels[-1], columns=4)
@@ -357,7 +339,7 @@ def _panels(
         axes.axhline(0, color="0.6", linewidth=0.8)
         if kind != "estimate":
             seen = max([seen, *_error_lines(axes, result, (-1, 1), name)])
-        axes.plot(t, error, label="simulated", **ACTUAL)
+        axes.plot(t, error, label="simulated", **LOOK["actual"])
         axes.set_ylim(-1.06 * seen or -1.0, 1.06 * seen or 1.0)
         text = f"{name}_hat − {name}" if kind == "estimate" else f"{name} − {name}_d"
         axes.set_title(plain(text), loc="left", fontsize=8, pad=3)
@@ -369,10 +351,10 @@ def _panels(
 def _magnitude(axes: Axes, t: Array, size: Array, bound: Array | None, floor: float, name: str) -> None:
     """Draw the size of an error on a logarithmic scale, under its proved bound, and where it is rounding alone."""
     if bound is not None and (above := bound > floor).any():
-        axes.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **BOUND)
+        axes.semilogy(t[above], bound[above], label="proved bound, whatever the switching", **LOOK["bound"])
     if not (size > 0).any():
         axes.text(0.5, 0.5, "0 at all times, in the simulation", transform=axes.transAxes, ha="center", fontsize=9)
-    axes.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **ACTUAL)
+    axes.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **LOOK["actual"])
     low, high = axes.get_ylim()
     if low < floor:
         axes.axhspan(low, floor, color="0.92", linewidth=0, label="rounding of the simulation")
@@ -387,6 +369,6 @@ def _error_lines(axes: Axes, result: SimulatedLoop, signs: Sequence[int], signal
     for figure, start in (("final_error", late), ("largest_error", float(t[0]))):
         for limit in limits(result, figure if signal is None else f"{figure}s", signal):
             for sign in signs:
-                axes.plot([start, t[-1]], [sign * limit] * 2, label="required", **REQUIRED)
+                axes.plot([start, t[-1]], [sign * limit] * 2, label="required", **LOOK["required"])
                 drawn.append(sign * limit)
     return drawn

@@ -14,20 +14,7 @@ from matplotlib.figure import Figure
 from pwatrack.arrays import Array, number_text
 from pwatrack.control.pareto import Front
 from pwatrack.report.figures import norm_unit
-from pwatrack.report.plots.canvas import (
-    ACTUAL,
-    BOUND,
-    COLUMNS,
-    REQUIRED,
-    ROUNDING,
-    WIDTH,
-    WORST,
-    canvas,
-    label,
-    legend,
-    limits,
-    plain,
-)
+from pwatrack.report.plots.canvas import COLUMNS, LOOK, ROUNDING, WIDTH, canvas, label, legend, limits, plain
 from pwatrack.report.required import Checked
 from pwatrack.workflow.variation import EnsembleResult, sections
 
@@ -51,7 +38,7 @@ _COLOURS = {  # of verdicts
 _ROOM = 1.05  # of what is shown of a plane
 _SMALL: dict[str, Any] = {"s": 12, "facecolors": "none", "edgecolors": "0.45", "linewidths": 0.8}
 _OFF: dict[str, Any] = {"s": 16, "marker": "x", "color": "#a3195b", "linewidths": 0.9}
-_PROVED = {"start forgotten, limits reached or not": ACTUAL, "no limit is reached": BOUND}
+_PROVED = {"start forgotten, limits reached or not": LOOK["actual"], "no limit is reached": LOOK["bound"]}
 
 
 def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
@@ -86,11 +73,11 @@ def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
         low, quarter, middle, three_quarters, high = np.quantile(error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
         axes.fill_between(t, low, high, color="0.82", linewidth=0, label="90 % of the members")
         axes.fill_between(t, quarter, three_quarters, color="0.6", linewidth=0, label="50 %")
-        axes.plot(t, middle, label="median", **ACTUAL)
-        axes.plot(t, error[member], label=f"{name}: member {member + 1}", **WORST)
+        axes.plot(t, middle, label="median", **LOOK["actual"])
+        axes.plot(t, error[member], label=f"{name}: member {member + 1}", **LOOK["worst"])
         for wish, when in _ERRORS.items():
             for limit in limits(result, wish, members=True):
-                axes.axhline(limit, label=f"required{when}", **REQUIRED)
+                axes.axhline(limit, label=f"required{when}", **LOOK["required"])
         legend(axes, columns=3)
         label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), t)
         bottom = float(low.min()) / 3
@@ -111,14 +98,14 @@ def _strip(axes: Axes, checked: Checked) -> None:
     limit = scale * checked.requirement.limit
     values = scale * np.array(checked.members)
     found = values[np.isfinite(values)]
-    axes.axvline(limit, **REQUIRED)
+    axes.axvline(limit, **LOOK["required"])
     if len(found):
         low, quarter, middle, three_quarters, high = np.quantile(found, (0.05, 0.25, 0.5, 0.75, 0.95))
         worst = found.max() if checked.requirement.quantity.best == "at most" else found.min()
         axes.fill_between([low, high], -1, 1, color="0.82", linewidth=0)
         axes.fill_between([quarter, three_quarters], -1, 1, color="0.6", linewidth=0)
-        axes.plot([middle, middle], [-1, 1], **ACTUAL)
-        axes.plot([worst, worst], [-1, 1], **WORST)
+        axes.plot([middle, middle], [-1, 1], **LOOK["actual"])
+        axes.plot([worst, worst], [-1, 1], **LOOK["worst"])
     never = len(values) - len(found)
     name = f"{checked.label} ({unit})" if unit else checked.label
     name += f": worst {number_text(scale * checked.found, '.4g')}" * bool(np.isfinite(checked.found))
@@ -137,7 +124,7 @@ def pareto_fronts(name: str, fronts: Sequence[Front]) -> Figure:
     figure.suptitle(textwrap.fill(f"{name}: what a faster decay costs", 90), fontsize=11)
     for axes, front in zip(figure.subplots(1, len(fronts)), fronts, strict=True):
         letter, rate, norm = front.role.letter, *front.chosen
-        axes.plot(front.rates, front.norms, marker="o", markersize=3.5, label="smallest found", **ACTUAL)
+        axes.plot(front.rates, front.norms, marker="o", markersize=3.5, label="smallest found", **LOOK["actual"])
         axes.plot([rate], [norm], "s", color="#e08e2b", markersize=8, markeredgecolor="black", label="this design")
         if np.isfinite(front.limit):
             axes.axvline(front.limit, color="0.45", linewidth=1.0, linestyle=":", label="no gain found from here")
@@ -218,14 +205,12 @@ def sweep_maps(
 
 
 def _shown(figures: Mapping[str, Array]) -> list[tuple[str, str]]:
-    """Return which figures are drawn, and their labels."""
     times = [key for key in figures if key.startswith(_SETTLING)]
     settling = ((key, f"settling time of {key.removeprefix(_SETTLING)} (s)") for key in times)
     return [*((key, text) for key, text in _SHOWN.items() if key in figures), *settling]
 
 
 def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> ScalarMappable:
-    """Colour a grid, or points that are none."""
     x, y = (np.unique(part) for part in at)
     if len(x) * len(y) == len(values):
         return axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
