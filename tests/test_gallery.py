@@ -35,7 +35,7 @@ def test_a_plant_of_the_gallery_is_designed_and_tracks(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", WORKING, ids=lambda path: path.stem)
 def test_another_solver_proves_the_same(path: Path) -> None:
-    """A second opinion, Clarabel. Gains may differ where more than one is best; what is proved does not."""
+    """A second opinion, PICOS with Clarabel. Gains may differ where more than one is best; what is proved does not."""
     spec = load_spec(path)
     unsampled = replace(spec.scenario, conditions=replace(spec.scenario.conditions, sampling=None))
     ours = design(replace(spec, scenario=unsampled))  # what is proved of the program is not compared

@@ -26,7 +26,7 @@ from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, gain, synthesize
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, InvalidSpec, PwatrackError, Undecided
-from pwatrack.lmi import cone_program, primal_dual
+from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.proofs import refuted
@@ -181,7 +181,7 @@ def test_every_search_of_a_small_plant_ends_after_few_programs(
     asked = goals[goal]
     task = Task(A=A, B=random.normal(size=(n, 1)), cells=[str(i) for i in range(cells)], sizes=ones(n, 1))
     with (
-        patch.object(cone_program, "solve", wraps=cone_program.solve) as theirs,
+        patch.object(picos_model, "solve", wraps=picos_model.solve) as theirs,
         patch.object(primal_dual, "solve", wraps=primal_dual.solve) as ours,
     ):
         with suppress(PwatrackError):

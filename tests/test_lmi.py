@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
+import picos
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -17,13 +18,14 @@ from pwatrack.arrays import Array, symmetric_part
 from pwatrack.control import candidates, convergence, synthesis
 from pwatrack.control.task import Task
 from pwatrack.errors import Infeasible, Undecided
-from pwatrack.lmi import cone_program, primal_dual
+from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.blocks import Scaling, step_lengths
 from pwatrack.lmi.exact import prove
 from pwatrack.lmi.inequality import Inequality, Solver, lyapunov, quadratic_cost, state_feedback, weighted
 from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.linear_map import DenseMap, LinearMap
 from pwatrack.lmi.multipliers import refutes
+from pwatrack.lmi.picos_model import ClarabelSolver
 from pwatrack.lmi.presolve import Coordinates, corners, distinct
 from pwatrack.lmi.program import (
     SemidefiniteProgram,
@@ -83,6 +85,33 @@ def test_with_the_gain_of_the_cost_no_other_gain_has_a_smaller_left_side(seed: i
     assert np.linalg.eigvalsh(sides[0] - sides[1])[0] > -1e-9
 
 
+@given(seeds, st.integers(1, 5))
+@settings(max_examples=15)
+def test_clarabel_and_cvxopt_find_the_same_optimum(seed: int, n: int) -> None:
+    """Minimise tr(C X) over X ⪰ 0 with tr X = 1 (an equality) and X_11 ≥ 0.1 (an inequality)."""
+    C = symmetric_part(np.random.default_rng(seed).normal(size=(n, n)))
+
+    def optimum(**choice: object) -> float:
+        X = picos.SymmetricVariable("X", n)
+        problem = picos.Problem()
+        problem.add_list_of_constraints([X >> 0, picos.trace(X) == 1, X[0, 0] >= 0.1])
+        problem.set_objective("min", picos.trace(C * X))
+        problem.solve(**choice)
+        return float(problem.value)
+
+    assert optimum(ad_hoc_solver=ClarabelSolver) == pytest.approx(optimum(solver="cvxopt"), abs=1e-6)
+
+
+def test_the_clarabel_plugin_maximises_too() -> None:
+    t = picos.RealVariable("t")
+    problem = picos.Problem()
+    problem.add_constraint((t & 1) // (1 & t) << 3 * np.eye(2))
+    problem.set_objective("max", t)
+    problem.solve(ad_hoc_solver=ClarabelSolver)
+    assert float(t.value) == pytest.approx(2.0, abs=1e-6)
+    assert float(problem.value) == pytest.approx(2.0, abs=1e-6)
+
+
 BUILDERS: dict[str, Callable[[Array, Array], SemidefiniteProgram]] = {
     "largest_margin": lambda A, B: largest_margin(state_feedback(A, B)),
     "largest_margin, bounded": lambda A, B: largest_margin(state_feedback(A, B), 5.0),
@@ -105,7 +134,7 @@ def ours(program: SemidefiniteProgram, *, gap: float = 1e-7, against: float | No
 
 
 def cvxopt(program: SemidefiniteProgram) -> Solution | None:
-    return cone_program.solve(program, "cvxopt")
+    return picos_model.solve(program, "cvxopt")
 
 
 CLOSE = {"largest_margin": 3e-3, "smallest_gain": 1e-3}  # no P and Y reach the infimum: they grow without end
@@ -122,7 +151,7 @@ def test_the_primal_dual_method_and_clarabel_find_the_same_optimum(
     if build in {"least_condition", "least_trace", "least_sizes", "smaller_gain", "least_violation"}:
         A = np.random.default_rng(seed).normal(size=A.shape) / (4 * n) - np.eye(n)
     program = BUILDERS[build](A, B if build != "least_violation" else B[:, :0])
-    first, second = ours(program), cone_program.solve(program)
+    first, second = ours(program), picos_model.solve(program)
     assert not first.impossible
     assert second is not None
     assert violation(first) < 1e-7
@@ -216,7 +245,7 @@ def test_what_contradicts_itself_has_no_solution_in_any_solver(seed: int, n: int
     assert min(np.linalg.eigvalsh(X)[:, 0].min() / np.linalg.norm(X) for X in (Z, above)) > -1e-9
     assert float((Z * inequality.constant).sum()) == pytest.approx(1.0)
     assert np.abs(inequality.adjoint(Z)[0] - above[0]).max() < 1e-6
-    for other in (solve(program), cone_program.solve(program), cvxopt(program)):
+    for other in (solve(program), picos_model.solve(program), cvxopt(program)):
         assert other is None or violation(other) > 0
 
 
@@ -253,7 +282,7 @@ def test_the_norm_falls_from_one_bound_of_it_to_the_next(seed: int, n: int, m: i
     last = solve(largest_margin(inequality))
     assert last is not None
     program = smaller_gain(inequality, root, E, (last.P, last.Y))
-    here, theirs = ours(program), cone_program.solve(program)
+    here, theirs = ours(program), picos_model.solve(program)
     assert theirs is not None
     for found in (here, theirs):
         assert norm(found) ** 2 <= (found.t + 1e-6) * norm(last) ** 2
@@ -384,7 +413,7 @@ def test_every_solver_takes_every_program_however_little_is_in_it(
     A = np.zeros((cells, n, n)) if still else random.normal(size=(cells, n, n)) / (4 * n) - 2 * np.eye(n)
     B = np.zeros((n, m)) if idle else random.normal(size=(n, m))
     program = BUILDERS[build](A, B)
-    answers = [cone_program.solve(program), cvxopt(program), solve(program)]
+    answers = [picos_model.solve(program), cvxopt(program), solve(program)]
     certain = not still and (build != "least_violation" or idle) and (m > 0 or "gain" not in build)
     for found in answers:
         if found is not None:
@@ -402,7 +431,7 @@ def test_the_least_violation_has_the_trace_that_is_asked_in_both_solvers(seed: i
     random = np.random.default_rng(seed)
     inequality = state_feedback(random.normal(size=(cells, n, n)) + np.eye(n), random.normal(size=(n, m)))
     program = least_violation([inequality])
-    answers = [cone_program.solve(program), solve(program)]
+    answers = [picos_model.solve(program), solve(program)]
     if not m:  # CVXOPT gives up where Y is large
         answers.append(cvxopt(program))
     for found in answers:
@@ -440,7 +469,7 @@ def test_with_one_cell_the_least_cost_gain_is_the_lqr_gain(seed: int, n: int, m:
     random = np.random.default_rng(seed)
     A, B = random.normal(size=(n, n)) - 0.5 * np.eye(n), random.normal(size=(n, m))
     assume(np.linalg.norm(solve_continuous_are(A, B, np.eye(n), np.eye(m)), 2) <= 20)  # else nearly unreachable
-    candidate = cone_program.solve(least_cost(quadratic_cost(A[None], B, np.eye(n), np.eye(m)), np.eye(n)))
+    candidate = picos_model.solve(least_cost(quadratic_cost(A[None], B, np.eye(n), np.eye(m)), np.eye(n)))
     assert candidate is not None
     K = -np.linalg.solve(candidate.P, B).T
     K_lqr = -B.T @ solve_continuous_are(A, B, np.eye(n), np.eye(m))
@@ -512,12 +541,12 @@ def test_a_marginal_case_is_not_feasible(A: Array, solver: Solver) -> None:
 
 @pytest.mark.parametrize("n", [3, 12])
 def test_the_primal_dual_method_finds_the_least_cost(n: int) -> None:
-    """One cell: Riccati. More: Clarabel, where it can."""
+    """One cell: Riccati. More: PICOS, where it can."""
     random = np.random.default_rng(n)
     A, B = random.normal(size=(3, n, n)) / 5 - np.eye(n), random.normal(size=(n, 2))
     V = random.normal(size=(n, n))
     program = least_cost(quadratic_cost(A, B, np.eye(n), np.eye(2)), V)
-    found, other = ours(program), cone_program.solve(program)
+    found, other = ours(program), picos_model.solve(program)
     assert other is not None
     assert program.constraints[0].margin(found.P, found.Y) > 0
     assert found.objective == pytest.approx(other.objective, rel=1e-5)
@@ -531,7 +560,7 @@ def test_a_lying_solver_convinces_nobody(monkeypatch: pytest.MonkeyPatch) -> Non
         lies = tuple(np.broadcast_to(np.eye(c.constant.shape[1]), c.constant.shape) for c in program.constraints)
         return Solution(program=program, P=np.eye(2), Y=np.zeros((1, 2)), t=0.0, multipliers=lies)
 
-    monkeypatch.setattr(cone_program, "solve", liar)
+    monkeypatch.setattr(picos_model, "solve", liar)
     monkeypatch.setattr(primal_dual, "solve", liar)
     stable_apart = np.array([[[-1.0, 10.0], [0.0, -1.0]], [[-1.0, 0.0], [10.0, -1.0]]])
     with pytest.raises(Undecided):

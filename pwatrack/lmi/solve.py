@@ -27,7 +27,8 @@ _answered: ContextVar[Counter[str] | None] = ContextVar("answered", default=None
 def asking(solver: Solver) -> Iterator[None]:
     """Have a solver asked for all programs within: no inequality, and no search, needs to know which one it is.
 
-    "structured" is `primal_dual`, and Clarabel for what it gives up.
+    "structured" is `primal_dual`, and Clarabel for what it gives up. "clarabel" and "cvxopt" are asked through PICOS,
+    and nobody else.
     """
     token = _asked.set(solver)
     try:
@@ -56,9 +57,8 @@ def solve(
 ) -> Solution | None:
     """Return a minimiser of a program, or None if nothing was found.
 
-    `gap` is the share of the objective that may be missed; others than our own solver miss less. It is enough to know
-    whether the objective can be below `against`; `after` is the answer to a program that differs little: see
-    `primal_dual`.
+    `gap` is the share of the objective that may be missed; PICOS' solvers miss less. It is enough to know whether the
+    objective can be below `against`; `after` is the answer to a program that differs little: see `primal_dual`.
     """
     if not program.finite:
         return None
@@ -66,7 +66,10 @@ def solve(
         found = primal_dual.solve(program, gap=gap, against=against, after=after)
         if found is not None:
             return _by("structured", found)
-    return _by(_other(), cone_program.solve(program, _other()))
+    from pwatrack.lmi import picos_model  # imports PICOS, which takes a while
+
+    other: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
+    return _by(other, picos_model.solve(program, other))
 
 
 def semidefinite(cost: Array, blocks: Sequence[cone_program.Block]) -> Array | None:
@@ -74,7 +77,8 @@ def semidefinite(cost: Array, blocks: Sequence[cone_program.Block]) -> Array | N
 
     `primal_dual` does not know such programs: Clarabel is asked in its place.
     """
-    return _by(_other(), cone_program.semidefinite(cost, blocks, _other()))
+    solver: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
+    return _by(solver, cone_program.semidefinite(cost, blocks, solver))
 
 
 def minimised(
@@ -109,10 +113,6 @@ def minimised(
 def _shaped(name: str, shape: tuple[int, ...], entries: Array) -> Array:
     """Return entries (c, …) as what they are of; of Q as `upper` has it."""
     return symmetric_of(entries, shape[0]) if name == "Q" else entries.reshape(-1, *shape)
-
-
-def _other() -> Solver:
-    return "cvxopt" if asked() == "cvxopt" else "clarabel"
 
 
 def _by(solver: Solver, found: Found | None) -> Found | None:
