@@ -251,9 +251,9 @@ class Equations:
 
     def solve(self, right: Array) -> Array:
         """Return v whose scaled left-hand sides have this adjoint."""
-        linear, corner = self._linear, self._corner
-        if corner is None:
+        if self._corner is None:
             return self._normal.solve(right)
+        linear, corner = self._linear, self._corner
         F, main = linear.W.of_row(right[linear.main :]), right[: linear.main].copy()
         main[: linear.P.size] -= linear.P.row(corner.Q.T @ F @ corner.Q)
         found = self._normal.solve(main)
