@@ -74,7 +74,7 @@ def test_from_inside_what_is_proved_every_member_gets_small_and_not_from_everywh
     off = np.column_stack([many.variation.values[name] for name in ("z", "v")]) - many.nominal.response.x_d[0, :2]
     small = np.array(many.small)
     assert (small >= [one.code == ExitCode.DONE and one.kind != "off" for one in many.outcomes]).all()
-    found = dict(sections(many.nominal.controller, [0, 1]))
+    found = dict(sections(many.nominal.controller, many.nominal.loop.conditions, [0, 1]))
     assert list(found) == ["start forgotten, limits reached or not", "no limit is reached"]
     inside = Outline(found["start forgotten, limits reached or not"]).contains_points(off)
     assert inside.sum() > 20
@@ -127,9 +127,11 @@ def test_the_picture_shows_each_member_and_what_is_proved(many: EnsembleResult) 
     small, others = (np.asarray(each.get_offsets()) for each in axes.collections)
     assert len(small) + len(others) == 300
     assert [line.get_label() for line in axes.lines] == [
-        f"proved: {said}" for said, _ in sections(many.nominal.controller, [0, 1])
+        f"proved: {said}" for said, _ in sections(many.nominal.controller, many.nominal.loop.conditions, [0, 1])
     ]
-    for line, (_, edge) in zip(axes.lines, sections(many.nominal.controller, [0, 1]), strict=True):
+    for line, (_, edge) in zip(
+        axes.lines, sections(many.nominal.controller, many.nominal.loop.conditions, [0, 1]), strict=True
+    ):
         assert (points(line) == edge).all()
     assert axes.get_xlabel() == "z − z_d (m)"
 

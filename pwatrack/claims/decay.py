@@ -85,7 +85,7 @@ class Decay(Claim):
             theorem = "Theorem 2" if controller.generator is None else "Theorem 3"
             constant = up(1 / controller.guarantees.rate)
             said = f"proved: error {ends} from every start, time constant {constant} s"
-            yield "ideal loop", f"{said}; {ideal(controller)}{bounded}, {theorem}"
+            yield "ideal loop", f"{said}; {ideal(controller, words)}{bounded}, {theorem}"
         yield "K, L", in_a_line(words, controller.design.K, "L", controller.design.L, "K and L are in gains.json")
 
 

@@ -209,11 +209,13 @@ class NoSaturation(Claim):
         return any(promise.of_this_run(self.room.left) for promise in self.promises)
 
 
-def ideal(controller: ProvedController) -> str:
+def ideal(controller: ProvedController, words: Words) -> str:
     """Return what the loop of the theorems is without, and that no limit is reached from the start of the run."""
-    if any(claim.from_this_start for claim in controller.claims_of(NoSaturation)):
+    conditions = words.conditions.beside(controller.plant.loads)
+    disturbed = " disturbance," * (conditions.disturbance is not None)
+    if conditions.undisturbed and any(claim.from_this_start for claim in controller.claims_of(NoSaturation)):
         return "no limit reached from this start; with no noise or sampling"
-    return "with no limits, noise or sampling"
+    return f"with no limits,{disturbed} noise or sampling"
 
 
 def promises(

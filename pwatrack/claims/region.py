@@ -156,7 +156,9 @@ class LimitedRegion(RegionClaim):
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors go to 0 from the start of the run with inputs at their limits, where that is proved."""
-        if self.from_this_start(controller) and not any(c.from_this_start for c in controller.claims_of(NoSaturation)):
+        never = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
+        alone = words.conditions.beside(controller.plant.loads).undisturbed
+        if alone and self.from_this_start(controller) and not never:
             yield "ideal loop", f"{self.goes} from this start with inputs at their limits too{words.as_designed}"
 
 

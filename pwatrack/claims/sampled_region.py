@@ -79,7 +79,7 @@ class SampledRegion(RegionClaim):
         yield from (search.claim(told) for search in _Search.of(controller, asked))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
-        return {"sampled_regions": [one.data for one in self.found]}
+        return {"sampled_regions": [one.data for one in self.found if one.held is not None]}
 
     def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
         whole = one.starts.kind == "every" or one.of_this_run(self.left)
@@ -156,8 +156,11 @@ class _Search:
     def read(self, entries: Sequence[Any]) -> Iterator[StartGuarantee]:
         told = {entry["of"]: entry for entry in entries}
         known = (nearby(replace(one, z=self.errors.before(one)), told) for one in self.starts)
-        for one in (one for one in (every(self.controller), *known) if one.kind in told):
-            yield self.guarantee(one, read_held(told[one.kind]))
+        for one in (every(self.controller), *known):
+            if one.kind in told:
+                yield self.guarantee(one, read_held(told[one.kind]))
+            elif one.z is not None and not one.z.any() and "every" not in told:
+                yield self.guarantee(one, None)
 
     @property
     def room(self) -> Headroom:
@@ -245,7 +248,9 @@ class _Search:
             yield self.guarantee(every(self.controller), held)
             return
         for one in (one for one in self.starts if not kinds or one.kind in kinds):
-            if looked_at(self.controller, one) and (best := self._largest(one)):
+            if not self.errors.before(one).any():  # what acts takes less than there is: no limit is reached
+                yield self.guarantee(one, None)
+            elif looked_at(self.controller, one) and (best := self._largest(one)):
                 yield best
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
@@ -291,7 +296,7 @@ class _Search:
                 break
         return best
 
-    def guarantee(self, starts: Starts, held: Held) -> StartGuarantee:
+    def guarantee(self, starts: Starts, held: Held | None) -> StartGuarantee:
         """Return what a region says of starts, as z before the first tick."""
         inputs, m = self.room.inputs, len(self.room.limits)
         forms: tuple[Form, ...] = ()

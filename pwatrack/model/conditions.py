@@ -145,6 +145,11 @@ class Conditions:
         return self.plant is not None or self.parameters is not None
 
     @property
+    def undisturbed(self) -> bool:
+        """Whether there is no noise, disturbance or step that moves errors."""
+        return self.noise is None and self.disturbance is None and self.quanta is None
+
+    @property
     def nominal(self) -> bool:
         """Whether the loop is the one that the proofs are about."""
         return all(value is None for name, value in vars(self).items() if name not in ("pace", "set_range"))

@@ -183,6 +183,7 @@ def _proved(found: Findings) -> Iterator[Row]:
         conditions = spec.scenario.conditions
         of_box = runs and tube_bounds(controller, spec.objectives.uncertain, conditions)
         bounds += " with the plant as designed" * (conditions.another_plant and not of_box)
+        bounds += "" if runs else spec.words.off_limits
         yield "as sampled" if runs else ideal, f"{assessment.condition} {bounds}".lstrip()
 
 
@@ -261,7 +262,8 @@ def _beyond(found: Findings) -> Iterator[str]:
         conditions = replace(conditions, limits=None, rates=None)
     limited = any(claim.from_this_start for claim in controller.claims_of(NoSaturation))
     limited = limited or any(claim.from_this_start(controller) for claim in controller.claims_of(LimitedRegion))
-    if limited and replace(conditions, limits=None).nominal and spec.scenario.conditions.sampling is None:
+    alone = spec.scenario.conditions.beside(controller.plant.loads).undisturbed
+    if limited and alone and replace(conditions, limits=None).nominal and spec.scenario.conditions.sampling is None:
         return
     if said := conditions.texts(controller.plant, spec.problem.units):
         yield f"for {'; '.join(said)}"

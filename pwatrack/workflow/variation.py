@@ -15,6 +15,7 @@ from pwatrack.claims.sampled_region import SampledRegion
 from pwatrack.control.controller import ProvedController
 from pwatrack.errors import ExitCode, InvalidSpec, PwatrackError
 from pwatrack.interruption import in_order
+from pwatrack.model.conditions import Conditions
 from pwatrack.simulation.closed_loop import ClosedLoop, closed_loop
 from pwatrack.simulation.ensemble import Ensemble, Member, joined, simulate_ensemble
 from pwatrack.simulation.figures import Figures
@@ -263,7 +264,7 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
     loop, plane = result.loop, list(result.spec.scenario.plane)
     if plane[0] == plane[1]:
         raise InvalidSpec("the plant has one state: there is no plane", subject=None, hint="'--over initial'")
-    edges = [edge for _, edge in sections(result.controller, plane)]
+    edges = [edge for _, edge in sections(result.controller, loop.conditions, plane)]
     sizes = [np.abs(edge).max(axis=0) for edge in edges] or [np.abs(result.response.x[:, plane]).max(axis=0)]
     most = _BEYOND * np.max(sizes, axis=0)
     random = np.random.default_rng([seed, 5])
@@ -279,15 +280,22 @@ def starts_in_a_plane(result: SimulatedLoop, count: int, seed: int) -> Variation
     )
 
 
-def sections(controller: ProvedController, plane: Sequence[int]) -> Iterator[tuple[str, Array]]:
-    """Yield what is proved of starts with limits, and the edge of the largest region of it in a plane, (s, 2)."""
+def sections(controller: ProvedController, conditions: Conditions, plane: Sequence[int]) -> Iterator[tuple[str, Array]]:
+    """Yield what is proved of starts with limits, and the edge of the largest region of it in a plane, (s, 2).
+
+    Nothing of another loop than the one that runs, or of a time when no load acts where one does.
+    """
     angles = np.linspace(0, 2 * np.pi, _POINTS)
     circle = np.column_stack([np.cos(angles), np.sin(angles)]) * controller.sizes.state[list(plane)]
+    loaded = controller.plant.loads is not None and conditions.disturbance is not None
     reached: Sequence[LimitedRegion | SampledRegion] = controller.claims_of(SampledRegion)
-    reached = reached or controller.claims_of(LimitedRegion)
-    late = any(claim.late for claim in controller.claims_of(SampledRegion))  # of errors later than at the start
-    kinds = [("start forgotten, limits reached or not", one.left, one.found) for one in reached if not late]
-    kinds += [("no limit is reached", one.room.spare, one.promises) for one in controller.claims_of(NoSaturation)]
+    never: Sequence[NoSaturation] = ()
+    if replace(conditions, limits=None).nominal:
+        reached, never = controller.claims_of(LimitedRegion), controller.claims_of(NoSaturation)
+    elif conditions.sampling is None or conditions.sampling.delay or conditions.another_plant or loaded:
+        return  # where inputs are late it is of errors later than at the start
+    kinds = [("start forgotten, limits reached or not", one.left, one.found) for one in reached]
+    kinds += [("no limit is reached", one.room.spare, one.promises) for one in never]
     for said, left, guarantees in kinds:
         found = (one.outline(left, plane, circle) for one in guarantees) if left is not None else ()
         edges = [edge for edge in found if edge is not None]

@@ -25,7 +25,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     faults = [f"region {k}: {fault}" for k, entry in enumerate(found, 1) for fault in wrong(loop, entry)]
     every = any(entry["of"] == "every" for entry in found)
     starts = "every start" if every else amount(len(found), "box of starts", "boxes of starts")
-    return faults, [f"with inputs at their limits errors go to 0 from {starts}"]
+    said = f"errors go to 0 from {starts}, with inputs at their limits too"
+    return faults, [f"{said}, as long as what that takes is left of these"]
 
 
 def wrong(loop: Loop, entry: Any) -> list[str]:

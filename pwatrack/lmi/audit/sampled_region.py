@@ -33,7 +33,8 @@ def decided(loop: Loop, whole: Any) -> tuple[list[str], list[str]]:
     faults = [f"sampled region {k}: {fault}" for k, some in enumerate(each, 1) for fault in some]
     every = any(entry["of"] == "every" for entry in found)
     starts = "every start" if every else amount(len(found), "box of starts", "boxes of starts")
-    return faults, [f"with inputs at their limits errors of the sampled loop go to 0 from {starts}"]
+    said = f"errors of the sampled loop, less what all that acts makes of them, go to 0 from {starts}, with inputs at"
+    return faults, [f"{said} their limits too, as long as what that takes is left of these"]
 
 
 def wrong(errors: AuditedErrors, entry: Any) -> list[str]:

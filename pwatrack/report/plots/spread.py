@@ -229,7 +229,7 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
         if which.any():
             axes.scatter(starts[which, 0], starts[which, 1], label=said, **style)
     seen = [starts]
-    for said, edge in sections(result.controller, plane):
+    for said, edge in sections(result.controller, result.loop.conditions, plane):
         axes.plot(*edge.T, label=f"proved: {said}", **_PROVED[said])
         seen.append(edge)
     units = result.spec.problem.units
