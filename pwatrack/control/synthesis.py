@@ -185,8 +185,12 @@ class Search:
         closed = self.task.unlike(candidate.K)
         if not np.isfinite(closed).all() or not np.linalg.eigvals(closed).real.max() < -rate:
             return None
-        if self._as_pair:
-            return self._proved_as_pair(candidate, rate)
+        if self._as_pair:  # in exact numbers where doubles do not do
+            K, open_loop = candidate.K, self.task.unlike(np.zeros_like(candidate.K))
+            sizes = self.task.scale.state
+            tried = pair_certificates(open_loop, moved=self.task.B @ K, start=candidate.P, sizes=sizes)
+            proofs = (prove(closed, P) or self.task.reached_exactly(K, P) for P in tried)
+            return next(((K, proof) for proof in proofs if proof is not None and reaches(proof, rate)), None)
         certificate = best_certificate(closed, start=candidate.P, sizes=self.task.scale.state, soon=soon)
         if certificate is None and candidate.P is not None:
             certificate = self.task.reached_exactly(candidate.K, candidate.P)
@@ -196,16 +200,6 @@ class Search:
     def _as_pair(self) -> bool:
         """Whether there are many states, and corners that are a `Pair`: there no program has to be solved."""
         return len(self.task.B) >= MANY_STATES and Pair.of(self.candidates.A) is not None
-
-    def _proved_as_pair(self, candidate: Candidate, rate: float) -> Proved | None:
-        """Prove the best rate of a candidate by Riccati equations, in exact numbers where doubles do not do."""
-        K, open_loop, closed = candidate.K, self.task.unlike(np.zeros_like(candidate.K)), self.task.unlike(candidate.K)
-        moved, sizes = self.task.B @ K, self.task.scale.state
-        for P in pair_certificates(open_loop, moved=moved, start=candidate.P, sizes=sizes):
-            certificate = prove(closed, P) or self.task.reached_exactly(K, P)
-            if certificate is not None and reaches(certificate, rate):
-                return K, certificate
-        return None
 
     def regulator(self, rate: float) -> Proved | None:
         """Return the gain of the least cost, or of the largest margin where that has no proof."""

@@ -1,6 +1,7 @@
 """What limits of signals mean for a design: the room that the reference leaves, and what any set-points take of it."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -73,13 +74,15 @@ def room_of_signals(spec: Spec, controller: ProvedController) -> SignalRoom | No
 def _room(spec: Spec, trajectory: DesiredTrajectory, sizes: Sizes, limits: Array, gains: Array) -> Headroom:
     """Return what signals along x_d take of their limits, (m, 2), and with which errors a run may begin."""
     plant, system, duration = spec.problem.plant, trajectory.exosystem, spec.scenario.duration
-    given = trajectory.eta0
-    if given is None and trajectory.generator is not None:
+    given, steady, generator = trajectory.eta0, None, trajectory.generator
+    if given is None and generator is not None:
         given = generator_start(spec, trajectory)
+    if generator is not None and trajectory.names:
+        with suppress(InvalidSpec, OutsideTheory):  # the reference begins otherwise
+            steady = steady_start(trajectory, generator)  # the η̂(0) that forgets nothing
     if not trajectory.names or w_alone(gains, trajectory.rate.shape[1]):  # it has no past
         duration = system.period or duration
     peak = desired_peak(plant, trajectory, gains, given, duration)
-    steady = _steady(trajectory)
     lasting = peak if steady is None else desired_peak(plant, trajectory, gains, steady, system.period or duration)
     if lasting is not None:
         peak = None if peak is None else peak.with_also(lasting)
@@ -122,16 +125,6 @@ def _goes_on(
     )
     left = reach * np.sqrt(float(off @ P @ off)) * np.exp(-generator.rate * duration)
     return bool((left <= OFF * np.maximum(np.abs(peak.low), np.abs(peak.high))).all())
-
-
-def _steady(trajectory: DesiredTrajectory) -> Array | None:
-    """Return the η̂(0) that forgets nothing, where the generator has one."""
-    if trajectory.generator is None or not trajectory.names:
-        return None
-    try:
-        return steady_start(trajectory, trajectory.generator)
-    except (InvalidSpec, OutsideTheory):  # the reference begins otherwise
-        return None
 
 
 def _check(spec: Spec, room: Headroom, said: Sequence[str], at: Sequence[Subject], remedy: str) -> None:

@@ -185,8 +185,7 @@ class RunMonitor:
     def _caused(self, k: int) -> float:
         """What disturbances and noise, as large as they were, can make of an error in the loop as designed, if bounded.
 
-        It is counted as part of what an error may be anyway: a disturbance that comes late makes an error that comes
-        late and is the largest so far, and does not grow without bound.
+        A disturbance that comes late makes an error that is the largest so far, and does not grow without bound.
         """
         signal: Form = (self._tracked, k)
         claims = self._loop.controller.claims_of(SignalBounds) if any(self._acting.values()) else ()
