@@ -6,7 +6,6 @@ done again by another one.
 """
 
 import multiprocessing
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
@@ -17,6 +16,7 @@ from importlib import import_module
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 from pwatrack.batch.pool import PRELOAD, Lost, Pool
 from pwatrack.batch.work import Ended, Job, Work, inputs, refused
@@ -112,8 +112,7 @@ class Cluster(Executor):
             raise _unusable(f"--scheduler {address}: the scheduler has no workers", hint) from None
         self._executor = self._client.get_executor(pure=False)
         self._settings: Settings = timeout, memory, tuple(preload)
-        self._futures = set[Future[Any]]()
-        self._lock = threading.Lock()
+        self._futures = WeakSet[Future[Any]]()
 
     @property
     def jobs(self) -> int:
@@ -125,14 +124,11 @@ class Cluster(Executor):
         """Return the future of a call, which some worker will make."""
         future = Future[Any]()
         content = bytes(ForkingPickler.dumps((fn, args, kwargs)))
-        with self._lock:
-            self._futures.add(future)
+        self._futures.add(future)
         with uninterrupted():  # a future of dask that is half made says so as it is thrown away
             sent = self._executor.submit(work, content, self._settings, versions())
 
         def ended(_: object) -> None:
-            with self._lock:
-                self._futures.discard(future)
             if future.set_running_or_notify_cancel():
                 _settle(future, sent)
 
@@ -142,8 +138,7 @@ class Cluster(Executor):
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more tasks, wait for those that are there or cancel them, and leave the scheduler."""
-        with self._lock:
-            left = list(self._futures)
+        left = list(self._futures)
         if cancel_futures:
             for future in left:
                 future.cancel()
