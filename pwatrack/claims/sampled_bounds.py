@@ -25,7 +25,7 @@ from pwatrack.claims.bounds import in_ellipsoid
 from pwatrack.claims.channel_text import channel_text
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
-from pwatrack.claims.sampled_start import from_start, of_this_start
+from pwatrack.claims.sampled_start import from_start, is_start, of_this_start
 from pwatrack.claims.tube_search import KINDS, TubeSearch
 from pwatrack.claims.tube_text import Sizes, Tubes
 from pwatrack.control.bounds import Channel, Form
@@ -294,7 +294,10 @@ class TubeBounds(Claim):
         at, near = np.floor(times * gains.substeps).astype(np.int64), 1 + OffTime.of(gains).near
         ticking = not gains.jitter and (np.abs(times - np.rint(times)) <= _ROUNDED * np.maximum(times, 1.0)).all()
         told = {form: each for form, each in self.anywhere.items() if ticking or form[0] != "estimate"}
-        return {form: _around(each, at, near) + most[form] for form, each in told.items()}
+        found = {form: _around(each, at, near) + most[form] for form, each in told.items()}
+        if is_start(self.errors, seen.start):
+            found |= {form: np.minimum(found[form], _around(self.from_start[form], at, near)) for form in found}
+        return found
 
     def _firsts(self, e: Array, delta: Array) -> list[Array]:
         """Return what z may be after the tick at t = 0, (order,) each, for x less the x_d of the program."""

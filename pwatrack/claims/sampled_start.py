@@ -11,6 +11,7 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.exact_text import CLOSE, doubles
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
+from pwatrack.control.headroom import Starts
 from pwatrack.control.sampled_disturbances import ROUNDING, Acting, begun
 from pwatrack.control.sampled_error import SampledErrors
 
@@ -46,6 +47,18 @@ def _begun(errors: SampledErrors, acts: Acting, columns: Array) -> tuple[Sampled
     squares = dict(acts.squares) | {("start", k): first for k in range(columns.shape[1])}
     starts_at = [BallMatrix.of(column[:, None], (errors.order, 1)) for column in columns.T]
     return replace(errors, starts=starts_at), replace(acts, squares=squares)
+
+
+def is_start(errors: SampledErrors, start: Array) -> bool:
+    """Say whether errors (e, Δ, σ) are such as these begin with."""
+    if errors.starts is None or not errors.starts:
+        return errors.starts is not None and not start.any()
+    n, sizes = len(errors.plant.B), np.array(errors.clocked.sizes)[:, None]
+    e, delta, load = np.split(start[:, None], [n, 2 * n])
+    z = errors.before(Starts(kind="run", e=e, delta=delta, load=load)) / sizes
+    columns = np.hstack([column.floats for column in errors.starts]) / sizes
+    parts = np.linalg.lstsq(columns, z)[0]
+    return bool(np.abs(columns @ parts - z).max() <= ROUNDING and np.abs(parts).max() <= 1 + ROUNDING)
 
 
 def of_this_start(told: Mapping[Channel, Any], errors: SampledErrors) -> tuple[bool, SampledErrors]:
