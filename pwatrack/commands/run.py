@@ -124,6 +124,7 @@ class _Made:
     controller: ProvedController | None = None
     runs: SampledController | None = None
     largest: LargestBox | None = None
+    result: SimulatedLoop | None = None
     answered: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -156,7 +157,7 @@ class _Made:
         self, spec: Spec, controller: ProvedController, members: Mapping[str, Any] | None
     ) -> tuple[SimulatedLoop, EnsembleResult | None]:
         with self.step("simulate", "Simulating the closed loop"):
-            result = pipeline.simulate(spec, controller, self.runs)
+            self.result = result = pipeline.simulate(spec, controller, self.runs)
         if not members:
             return result, None
         count = members["count"]
@@ -194,12 +195,14 @@ class _Made:
             return
         try:
             if spec is not None and controller is not None and refusal.code == ExitCode.CHECK_FAILED:
-                found = Findings(spec=spec, controller=controller)
+                run, controller = self.result, self.result.controller if self.result else controller
+                found = Findings(spec=spec, controller=controller, result=run)
                 files.write(found, folder, broken=refusal, effort=self.effort, warned=True)
                 at = path_of((ProblemPart.SAMPLE_TIME,))
                 sampled = any(problem.subject == at for problem in refusal.problems)
                 unstable = f"UNSTABLE as sampled: do not run the gains in {folder!s}: proved is the ideal loop only"
                 broken = f"what is proved of the gains is in {folder!s}; this run does not show that they work"
+                broken = broken if run is None else f"the run itself is in {folder!s}"
                 refusal.add_note(f"  {unstable if sampled else broken}")
                 return
             expected = spec is not None and refusal.code == spec.expected_exit

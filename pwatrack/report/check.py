@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pwatrack.control.applicability import Applicability
 from pwatrack.control.controller import Row
 from pwatrack.model.sizes import Sizes
-from pwatrack.report.plant import orders
+from pwatrack.report.plant import mode_text, orders
 from pwatrack.report.screen import COLUMNS, LINES, fitted, joined
 from pwatrack.report.terminal import visible
-from pwatrack.simulation.modes import Mode, modes
+from pwatrack.simulation.modes import modes
 from pwatrack.workflow.cautions import plant_questions
 
 _EXACT = {  # what a route is, by its name
@@ -69,29 +69,10 @@ def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> st
         return "No controller can be designed as it stands: the error says why, and what helps"
     answers = dict(report.answers)
     first = report.open[0]
+    solved, _, also = answers[first].reason.partition(", and an ")
     said = f"A controller can be designed: {_EXACT.get(first.name, first.name)}, unless 'design' finds no solution of "
-    said += f"the paper's {answers[first].reason}"
+    said += f"the paper's {solved.removesuffix(', and a reference known beforehand')}{', or no ' * bool(also)}{also}"
     if first.name in _EXACT:
         return said
     exact = why_not or next(answers[route].reason for route in answers if report.tracking in route.takes)
     return f"{said}. Not exact tracking: {exact}"
-
-
-def mode_text(found: Sequence[Mode]) -> str:
-    """Return modes with frequency, damping and time constant τ, the slowest first.
-
-    Example:
-        >>> import numpy as np
-        >>> mode_text(modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))), mode_text(modes(np.array([[0.0]])))
-        ('2 rad/s damped 0.1 (τ 5 s)', 'integrates')
-    """
-    return "; ".join(
-        "integrates"
-        if not mode.frequency
-        else f"runs away (τ {-mode.time_constant:.3g} s)"
-        if mode.time_constant < 0
-        else f"τ {mode.time_constant:.3g} s"
-        if mode.damping == 1
-        else f"{mode.frequency:.3g} rad/s damped {mode.damping:.2g} (τ {mode.time_constant:.3g} s)"
-        for mode in found
-    )

@@ -12,6 +12,7 @@ from pwatrack.errors import PwatrackError
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes
 from pwatrack.report.terminal import print_rows
+from pwatrack.simulation.modes import Mode, modes
 
 _MOST_SHOWN = 20  # of cells or facets at the terminal
 _FEW = 5  # of more than that
@@ -29,7 +30,8 @@ def _plant_rows(report: Applicability, reference: str, sizes: Sizes | None, rema
     yield "plant (1)", f"{orders(plant)}; continuous across {amount(len(facets), 'facet')}"
     zeros = [()] * len(cells) if report.zero_dynamics is None else report.zero_dynamics
     said = (", ".join(complex_text(complex(v)) for v in row) for row in zeros)
-    each = [f"{name}: zero dynamics {text}" if text else name for name, text in zip(cells, said, strict=True)]
+    alone = (f"{name}: {mode_text(modes(A))}" for name, A in zip(cells, plant.A, strict=True))
+    each = [f"{text}; zero dynamics {zero}" if zero else text for text, zero in zip(alone, said, strict=True)]
     yield from _some_rows("cell", each, str)
     yield from _some_rows("facet", facets, lambda f: f"{cells[f.i]} | {cells[f.j]}, on {plant.hyperplane_text(f.k)}")
     if form is not None:
@@ -56,6 +58,26 @@ def _some_rows(kind: str, things: Sequence[Any], text: Callable[[Any], str]) -> 
     yield from ((kind, text(each)) for each in shown)
     if len(shown) < len(things):
         yield "", f"… and {len(things) - len(shown):,} more {kind}s (--json lists all)"
+
+
+def mode_text(found: Sequence[Mode]) -> str:
+    """Return modes with frequency, damping and time constant τ, the slowest first.
+
+    Example:
+        >>> import numpy as np
+        >>> mode_text(modes(np.array([[0.0, 1.0], [-4.0, -0.4]]))), mode_text(modes(np.array([[0.0]])))
+        ('2 rad/s damped 0.1 (τ 5 s)', 'integrates')
+    """
+    return "; ".join(
+        "integrates"
+        if not mode.frequency
+        else f"runs away (τ {-mode.time_constant:.3g} s)"
+        if mode.time_constant < 0
+        else f"τ {mode.time_constant:.3g} s"
+        if mode.damping == 1
+        else f"{mode.frequency:.3g} rad/s damped {mode.damping:.2g} (τ {mode.time_constant:.3g} s)"
+        for mode in found
+    )
 
 
 def check_json(

@@ -339,7 +339,10 @@ def fitted(rows: Sequence[Row], most: int) -> list[str]:
     for k, lines in (*((k, 1) for k in first), *((k, 1 + whole[k]) for k in ranked), *((k, most) for k in ranked)):
         more = min(spare, max(min(wanted[k], lines) - given[k], 0))
         given[k], spare = given[k] + more, spare - more
-    return [line for k in range(len(rows)) if given[k] for line in _wrapped(rows[k], given[k])]
+    last = {label: k for k, (label, _) in enumerate(rows) if given[k]}
+    cut = {last[label] for k, (label, _) in enumerate(rows) if not given[k] and label in last}  # some have no room
+    said = [(label, f"{text}; …" if k in cut else text) for k, (label, text) in enumerate(rows)]
+    return [line for k in range(len(rows)) if given[k] for line in _wrapped(said[k], given[k])]
 
 
 def _wrapped(row: Row, lines: int) -> list[str]:

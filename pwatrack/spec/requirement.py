@@ -213,17 +213,17 @@ def _limit(value: Any, quantity: Quantity, unit: str, context: Context) -> float
             raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
         limit = float(sized_real(value.rstrip()[:-1], context)) / 100
     else:
-        found = _in_unit(value, unit, context)
+        found = _in_unit(value, unit, context, difference=quantity.per == "errors" or quantity.unit == "of the error")
         limit = found if isinstance(found, float) else float(sized_real(found, context))
     if limit < 0:
         raise ValueError(f"{limit:g} is negative, and no figure is")
     return limit
 
 
-def _in_unit(value: Any, unit: str, context: Context) -> Any:
+def _in_unit(value: Any, unit: str, context: Context, *, difference: bool = False) -> Any:
     """Return the number of a text such as '0.5 mm' in the unit of what it limits; what has no unit as it is."""
     number, given = split(value) if isinstance(value, str) else (value, "")
-    return float(sized_real(number, context)) * times(given, unit) if given else value
+    return float(sized_real(number, context)) * times(given, unit, difference=difference) if given else value
 
 
 def _share(value: Any, context: Context) -> float:
@@ -244,15 +244,15 @@ def split(text: str) -> tuple[str, str]:
     return (found[1], found[2]) if found else (text, "")
 
 
-def times(unit: str, into: str) -> float:
-    """Return by what a number in one unit is multiplied to be in another.
+def times(unit: str, into: str, *, difference: bool = False) -> float:
+    """Return by what a number in one unit is multiplied to be in another; of a difference wherever these begin.
 
     Raises:
         ValueError: If these are not of one kind, or a unit is not known.
 
     Example:
-        >>> times("mm", "m"), times("N", "N"), round(times("deg", "rad"), 6)
-        (0.001, 1.0, 0.017453)
+        >>> times("mm", "m"), times("N", "N"), round(times("K", "degC", difference=True), 9)
+        (0.001, 1.0, 1.0)
         >>> times("mm", "s")
         Traceback (most recent call last):
         ValueError: 'mm' is no unit of what is in 's'
@@ -268,6 +268,6 @@ def times(unit: str, into: str) -> float:
         zero, one = (float(known.Quantity(v, unit).to(into).magnitude) for v in (0.0, 1.0))
     except (PintError, AttributeError, ValueError, TypeError, AssertionError):
         raise ValueError(f"{shown(unit)} is no unit of what is in {shown(into)}") from None
-    if zero:  # degrees that begin elsewhere: of a difference other numbers would be right than of a temperature
+    if zero and not difference:  # degrees that begin elsewhere
         raise ValueError(f"{shown(unit)} begins at another zero than {shown(into)}: give the number in that")
-    return one
+    return one - zero
