@@ -10,7 +10,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from pwatrack.arrays import EPS, Array, root_of
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
-from pwatrack.lmi.inequality import Inequality, quadratic_cost, state_feedback
+from pwatrack.lmi.inequality import quadratic_cost, state_feedback
 from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_gain, smallest_gain
@@ -108,7 +108,9 @@ class Candidates:
             at = self._regulated(shift)
             for _ in range(_RECENTRED):
                 inequality = state_feedback(at.system(self.A) + shift, at.input(self.task.B))
-                solution = solve(largest_margin(inequality, _most(inequality, factor)))
+                size = float(np.linalg.norm(inequality.L, 2, axis=(1, 2)).max(initial=0.0))
+                most = factor * size / max(float(np.linalg.norm(inequality.M[0], 2)), 1e-300)
+                solution = solve(largest_margin(inequality, most))
                 if solution is None:
                     return
                 candidate = self._candidate(at, solution, inequality.margin(solution.P, solution.Y))
@@ -212,12 +214,6 @@ def _state_weights(A: Array, B: Array) -> Iterator[Array]:
     if values[-1] > 0:
         root = vectors.T / np.sqrt(np.maximum(values, 1e-12 * values[-1]))[:, None]
         yield from (np.sqrt(weight * damping) * root for weight in _STATE_WEIGHTS)
-
-
-def _most(inequality: Inequality, factor: float) -> float:
-    """Return a bound of Y in (8) for P ⪯ I: a multiple of ‖A‖ / ‖B‖."""
-    size = np.linalg.norm(inequality.L, 2, axis=(1, 2)).max(initial=0.0)
-    return factor * float(size) / max(float(np.linalg.norm(inequality.M[0], 2)), 1e-300)
 
 
 def _definite(P: Array) -> bool:

@@ -109,31 +109,27 @@ def output_trajectory(generator: TrajectoryGenerator, y_d: Exosystem) -> Desired
     xi_d = np.zeros((r + len(form.degrees), size))  # ξ_d and y_d⁽ʳ⁾
     xi_d[:r, w] = np.vstack([rows[:degree, j] for j, degree in enumerate(form.degrees)])
     xi_d[r:, w] = [rows[degree, j] for j, degree in enumerate(form.degrees)]
-    T, X = form.T_inverse, form.right_inverse
-    x_d = T[:, :, :r] @ xi_d[:r]
-    x_d[:, :, :p] += T[:, :, r:]
-    x_d[:, :, -1] -= np.einsum("lij,lj->li", T, form.offset)
+    T, X, boundary = form.T_inverse, form.right_inverse, form.boundary
+
+    def made(on_xi: Array, on_eta: Array, constant: Array) -> Array:
+        """Return rows on s of rows on ξ_d (and y_d⁽ʳ⁾), on η̂ and of a constant."""
+        found = np.asarray(on_xi @ xi_d[: on_xi.shape[-1]])
+        found[..., :p] += on_eta
+        found[..., -1] += constant
+        return found
+
     # (16): û_ff = F_ξ [ξ_d; y_d⁽ʳ⁾] + F_η η̂ + f
-    u_ff = np.concatenate([-X @ form.alpha, X], axis=2) @ xi_d
-    u_ff[:, :, :p] -= X @ form.beta
-    u_ff[:, :, -1] -= np.einsum("lmp,lp->lm", X, form.gamma)
-    rate = generator.B_eta @ xi_d
-    rate[:, :, :p] += generator.A_eta
-    rate[:, :, -1] += generator.b_eta
-    boundary = form.boundary
-    guards = boundary.H[:, :r] @ xi_d[:r]
-    guards[:, :p] += boundary.H[:, r:]
-    guards[:, -1] += boundary.h
+    F_xi, f = np.concatenate([-X @ form.alpha, X], axis=2), -np.einsum("lmp,lp->lm", X, form.gamma)
     return DesiredTrajectory(
         generator=generator,
         exosystem=y_d,
         names=form.eta_names,
         to_eta=form.T[0, r:].reshape(n - r, n),
         eta_offset=form.offset[0, r:],
-        rate=rate,
-        x_d=x_d,
-        u_ff=u_ff,
-        guards=guards,
+        rate=made(generator.B_eta, generator.A_eta, generator.b_eta),
+        x_d=made(T[:, :, :r], T[:, :, r:], -np.einsum("lij,lj->li", T, form.offset)),
+        u_ff=made(F_xi, -(X @ form.beta), f),
+        guards=made(boundary.H[:, :r], boundary.H[:, r:], boundary.h),
         signs=boundary.signs,
     )
 
