@@ -126,7 +126,8 @@ def _smooth(facts: Applicability, *, several: bool) -> Answer:
     if several and m == p == 1:
         return _no("there is one input and one tracked output")
     if not several and facts.form is not None and (m > 1 or p > 1):
-        return _no(f"it is about one input and one output, the plant has {m} and tracks {p}")
+        what = f"as the paper has it, it is about one input and one output, the plant has {m} and tracks {p}"
+        return _no(f"{what}: 'several outputs' extends it")
     return _output(facts, kinked=False)
 
 
@@ -139,7 +140,8 @@ def _output(facts: Applicability, *, kinked: bool) -> Answer:
     if kinked and not bent:
         return _no("no last derivative is another form of the state in other cells")
     if bent and not kinked:
-        return _no(f"the last derivative of {', '.join(bent)} is another form of the state in other cells")
+        what = f"the last derivative of {', '.join(bent)} is another form of the state in other cells"
+        return _no(f"{what}: 'kinked derivative' extends the theorem")
     if facts.stuck:
         return _no(facts.stuck)
     assert facts.zero_dynamics is not None

@@ -9,7 +9,7 @@ from pwatrack.arrays import Array, number_text, up
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.goal import Goal
 from pwatrack.lmi.inequality import Role
-from pwatrack.model.conditions import Conditions
+from pwatrack.model.conditions import Conditions, per_second
 from pwatrack.model.loads import Load
 from pwatrack.model.pwa import PWASystem
 
@@ -123,18 +123,6 @@ def down(value: float) -> str:
         ('0.08267', '1.4')
     """
     return number_text(float(Context(prec=4, rounding=ROUND_FLOOR).create_decimal(value)), ".4g")
-
-
-def per_second(unit: str) -> str:
-    """Return the unit of a derivative.
-
-    Example:
-        >>> [per_second(unit) for unit in ("m", "m/s", "K/s", "N m", "m3/h", "")]
-        ['m/s', 'm/s²', 'K/s²', 'N m/s', '(m3/h)/s', '']
-    """
-    if unit.endswith("/s"):
-        return f"{unit}²"
-    return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
 def matrix_text(X: Array) -> str:

@@ -1,6 +1,6 @@
 """How the loop that runs may differ from the one that the theorems are about."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -99,9 +99,8 @@ class Conditions:
     def texts(self, plant: PWASystem, units: Mapping[str, str] | None = None) -> list[str]:
         """Say what is not as the theorems assume, each in a few words; `plant` has the names of signals."""
 
-        def of(name: str, text: str, per: str = "") -> str:
-            unit = (units or {}).get(name, "")
-            return f"{text} {unit}{per}" if unit else text
+        def of(name: str, text: str, unit_of: Callable[[str], str] = str) -> str:
+            return f"{text} {unit_of((units or {}).get(name, ''))}".rstrip()
 
         said = []
         if self.parameters is not None:
@@ -131,7 +130,9 @@ class Conditions:
             said += [f"{name} in steps of {of(name, f'{size:g}')}" for name, size in sizes if size]
         if self.rates is not None:
             rates = zip(plant.inputs, self.rates.tolist(), strict=True)
-            said += [f"|d{name}/dt| at most {of(name, f'{rate:g}', '/s')}" for name, rate in rates if np.isfinite(rate)]
+            said += [
+                f"|d{name}/dt| at most {of(name, f'{rate:g}', per_second)}" for name, rate in rates if np.isfinite(rate)
+            ]
         return said
 
     def beside(self, loads: Loads | None) -> "Conditions":
@@ -158,7 +159,19 @@ class Conditions:
 def _range(low: float, high: float) -> str:
     if np.isfinite([low, high]).all():
         return f"[{number_text(low, 'g')}, {number_text(high, 'g')}]"
-    return f"{number_text(low, 'g')} and above" if np.isfinite(low) else f"{number_text(high, 'g')} and below"
+    return f"at least {number_text(low, 'g')}" if np.isfinite(low) else f"at most {number_text(high, 'g')}"
+
+
+def per_second(unit: str) -> str:
+    """Return the unit of a derivative.
+
+    Example:
+        >>> [per_second(unit) for unit in ("m", "m/s", "K/s", "N m", "m3/h", "")]
+        ['m/s', 'm/s²', 'K/s²', 'N m/s', '(m3/h)/s', '']
+    """
+    if unit.endswith("/s"):
+        return f"{unit}²"
+    return unit and (f"({unit})/s" if "/" in unit else f"{unit}/s")
 
 
 NOMINAL = Conditions()

@@ -75,6 +75,8 @@ def mode_text(found: Sequence[Mode]) -> str:
         if mode.time_constant < 0
         else f"τ {mode.time_constant:.3g} s"
         if mode.damping == 1
+        else f"{mode.frequency:.3g} rad/s undamped"
+        if not mode.damping
         else f"{mode.frequency:.3g} rad/s damped {mode.damping:.2g} (τ {mode.time_constant:.3g} s)"
         for mode in found
     )

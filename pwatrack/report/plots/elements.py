@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
-from pwatrack.control.words import per_second
 from pwatrack.errors import InvalidSpec
+from pwatrack.model.conditions import per_second
 from pwatrack.model.contact import Contact
 from pwatrack.model.linear_form import LinearForm
 from pwatrack.model.nonlinearity import Nonlinearity
