@@ -66,9 +66,9 @@ def amount(count: int, what: str) -> str:
 
     Example:
         >>> amount(1, "input"), amount(2187, "cell")
-        ('1 input', '2187 cells')
+        ('1 input', '2,187 cells')
     """
-    return f"{count} {what}{'s' * (count != 1)}"
+    return f"{count:,} {what}{'s' * (count != 1)}"
 
 
 def up(value: float) -> str:

@@ -149,7 +149,7 @@ def _verdict(found: Findings, *, whole: bool) -> str:
     if missed := sum(not each.met for each in checked):
         return f"NOT READY: {missed} of {len(checked)} requirements missed"
     if many is not None and many.failed:
-        return f"NOT READY: {len(many.failed):,} of {len(many.figures):,} members fail"
+        return f"NOT READY: {len(many.failed):,} of {amount(len(many.figures), 'member')} fail"
     ended: str = "designed" if result is None else result.outcome.kind
     absent = ", ".join(name for name in _EXPECTED if getattr(found.spec.scenario.conditions, name) is None)
     without = f"; without {absent}" * bool(absent)
@@ -211,7 +211,9 @@ def _came_out(found: Findings) -> Iterator[Row]:
         figures, unit = ensemble_measures(many), norm_unit(many.nominal.spec, many.nominal.controller.error_names)
         kinds = ", ".join(f"{count:,} {kind}" for kind, count in figures["outcomes"].items())
         worst = f"{figures['final_error']['worst']:.2e} {unit}".rstrip()
-        said = f"{figures['members']:,} members {many.variation.text}: {kinds}; error at the end {worst} at worst"
+        said = (
+            f"{amount(figures['members'], 'member')} {many.variation.text}: {kinds}; error at the end {worst} at worst"
+        )
         yield "ensemble", f"{said}, member {figures['final_error']['member']}"
     yield from found.not_looked_at
     if met := [each for each in checked if each.met]:

@@ -170,11 +170,11 @@ def print_ensemble(console: Console, many: EnsembleResult) -> None:
         spread.add_row(label, *("never" if v is None else format(v, form) for v in shown), str(values["member"]))
     console.print(spread)
     if figures["unresolved"]:
-        console.print(f"In {figures['unresolved']} members the state comes within rounding of a hyperplane.")
+        console.print(f"In {amount(figures['unresolved'], 'member')} the state comes within rounding of a hyperplane.")
 
 
 def _ensemble_rows(many: EnsembleResult, figures: Mapping[str, Any]) -> Iterator[Row]:
-    count = f"{figures['members']:,} member{'s' * (figures['members'] != 1)}"
+    count = amount(figures["members"], "member")
     yield "ensemble", f"{count} {many.variation.text}, seed {figures['seed']}"
     for part, region in figures["regions"].items():
         for kind, entries in region.items():

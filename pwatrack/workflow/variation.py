@@ -88,7 +88,7 @@ class EnsembleResult:
         if not self.failed:
             return ""
         failed, first = len(self.failed), self.failed[0]
-        return f"{failed:,} of {len(self.outcomes):,} members fail; member {first + 1}: {self.outcomes[first].text}"
+        return f"{failed:,} of {amount(len(self.outcomes), 'member')} fail; member {first + 1}: {self.outcomes[first].text}"
 
 
 def ensemble(
@@ -109,6 +109,10 @@ def ensemble(
     """
     spec = result.spec
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
+    if over not in _VARIED:
+        raise InvalidSpec(f"over = {over!r} is none of {', '.join(_VARIED)}", subject=None)
+    if count < 1 or seed < 0:
+        raise InvalidSpec(f"{count} members and seed {seed}: at least 1 and at least 0 are expected", subject=None)
     if count * samples > _MOST_KEPT:
         message = f"{count:,} members with {samples:,} samples each, at most {_MOST_KEPT:,} samples in all are kept"
         raise InvalidSpec(message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")

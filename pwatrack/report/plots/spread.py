@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array, amount, number_text
 from pwatrack.control.pareto import Front
 from pwatrack.report.figures import norm_unit
 from pwatrack.report.plots.canvas import COLUMNS, LOOK, ROUNDING, WIDTH, canvas, label, legend, limits, plain
@@ -46,7 +46,7 @@ def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
     kept, result = many.ensemble, many.nominal
     unit = norm_unit(result.spec, result.controller.error_names)
     largest = f"{number_text(max(figures.final_error for figures in many.figures), '.2g')} {unit}".rstrip()
-    said = f"{len(kept.error):,} members {many.variation.text}"
+    said = f"{amount(len(kept.error), 'member')} {many.variation.text}"
     title = f"{said}: tracking error at most {largest} in the last tenth of the time"
     title += ", at the samples" * any("final_error" in figures.sampled for figures in many.figures)
     last = "last to be small" if np.isfinite(kept.small_from).all() else "largest at the end"
@@ -221,7 +221,7 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
     """Draw where members in a plane start and how they end, and the regions that are proved there."""
     result, plane = many.nominal, list(many.nominal.spec.scenario.plane)
     names = [result.controller.plant.states[k] for k in plane]
-    title = f"Starts in a plane, x̂ = x, all other errors 0: {len(many.outcomes):,} members, and what is proved"
+    title = f"Starts in a plane, x̂ = x, all other errors 0: {amount(len(many.outcomes), 'member')}, and what is proved"
     figure, (axes,) = canvas(result, title, [[0]], height=5.6)
     starts = np.column_stack([many.variation.values[name] for name in names]) - result.response.x_d[0, plane]
     small = np.array(many.small)
