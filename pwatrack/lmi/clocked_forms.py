@@ -338,7 +338,6 @@ class ClockedForms:
 
 
 def _least(X: Array) -> Array:
-    """Return the least eigenvalue of each of some symmetric matrices."""
     return np.asarray(np.linalg.eigvalsh((X + X.transpose(0, 2, 1)) / 2)[:, 0])
 
 

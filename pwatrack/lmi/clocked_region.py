@@ -99,13 +99,9 @@ class SaturatedTicks:
             >>> stable.everywhere() is not None, unstable.everywhere() is not None
             (True, False)
         """
-        m, n = self.D.shape
-        proof = clocked_proof(self.limited(BallMatrix.of(np.zeros((m, n)), (m, n))), knots=self.knots)
-        return (
-            None
-            if proof is None
-            else ClockedRegion(P=proof.P, T=proof.T, H=np.zeros((m, n)), weights=(), sizes=(0.0,) * m)
-        )
+        H, sizes = np.zeros(self.D.shape), (0.0,) * self.D.shape[0]
+        proof = clocked_proof(self.limited(BallMatrix.of(H, H.shape)), knots=self.knots)
+        return None if proof is None else ClockedRegion(P=proof.P, T=proof.T, H=H, weights=(), sizes=sizes)
 
     def around(self, G: Array, room: Array, H: Array, weights: Array) -> ClockedRegion | None:
         """Return a region of a large multiple of starts G ζ, |ζ_k| ≤ 1, if one is proved; its sizes say of which.

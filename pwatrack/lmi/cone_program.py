@@ -152,7 +152,6 @@ def symmetric_of(x: Array, N: int) -> Array:
 
 
 def _by_cvxopt(cost: Array, blocks: Sequence[Block]) -> Array | None:
-    """Return what CVXOPT finds, of whole matrices in place of triangles."""
     import cvxopt
 
     orders = [int(np.sqrt(2 * len(h))) for _, h in blocks]

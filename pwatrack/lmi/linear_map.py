@@ -251,9 +251,9 @@ class Equations:
 
     def solve(self, right: Array) -> Array:
         """Return v whose scaled left-hand sides have this adjoint."""
-        linear, corner = self._linear, self._corner
-        if corner is None:
+        if self._corner is None:
             return self._normal.solve(right)
+        linear, corner = self._linear, self._corner
         F, main = linear.W.of_row(right[linear.main :]), right[: linear.main].copy()
         main[: linear.P.size] -= linear.P.row(corner.Q.T @ F @ corner.Q)
         found = self._normal.solve(main)
@@ -350,13 +350,10 @@ class DenseEquations(Equations):
     def __init__(self, linear: DenseMap, scaling: Scaling) -> None:
         self._shape = scaling.E.shape
         self._images = scaling.into(linear.images.reshape(-1, *self._shape)).reshape(linear.images.shape)
-        self._normal = Normal(self._images @ self._images.T)
+        self._normal, self._corner = Normal(self._images @ self._images.T), None
 
     def apply(self, v: Array) -> list[Array]:
         return [(v @ self._images).reshape(self._shape)]
 
     def adjoint(self, changes: Sequence[Array]) -> Array:
         return np.asarray(self._images @ changes[0].ravel())
-
-    def solve(self, right: Array) -> Array:
-        return self._normal.solve(right)

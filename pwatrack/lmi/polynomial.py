@@ -148,7 +148,6 @@ class Monomials:
 
 
 def _times(polynomial: Mapping[Exponents, Any], row: Sequence[Any]) -> dict[Exponents, Any]:
-    """Return a polynomial in v times row v."""
     found: dict[Exponents, Any] = {}
     for a, value in polynomial.items():
         for k, factor in enumerate(row):

@@ -142,7 +142,6 @@ class _Search:
 
     @classmethod
     def of(cls, loop: SaturatedLoop, ellipsoid: Region, G: Array, room: Array) -> "_Search | None":
-        """Return what is common to all degrees; None where there is nothing to be sought."""
         some = np.flatnonzero(room > 0)
         sizes = np.array(ellipsoid.sizes)
         if len(loop.B.floats) < 2 or not len(some) or not (sizes[some] > 0).any():
@@ -170,7 +169,6 @@ class _Search:
 
     @property
     def monomials(self) -> Monomials:
-        """Of the errors."""
         return Monomials.of(len(self.T), self.d)
 
     @property
@@ -180,7 +178,6 @@ class _Search:
 
     @property
     def rows(self) -> int:
-        """How large the program is."""
         N, K = len(self.monomials), len(self.of_starts)
         blocks = len(self.M) * 2 ** len(self.D) + 1 + len(self.free)
         return int(blocks * N * (N + 1) // 2 + K * (K + 1) // 2)
@@ -310,7 +307,6 @@ class _Search:
 
 
 def _bordered(X: Array, row: Array, corner: Array) -> Array:
-    """Return [[X, rowᵀ], [row, corner]] of a batch."""
     return np.block([[X, row[:, :, None]], [row[:, None], corner]])
 
 

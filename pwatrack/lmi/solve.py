@@ -112,7 +112,6 @@ def _shaped(name: str, shape: tuple[int, ...], entries: Array) -> Array:
 
 
 def _other() -> Solver:
-    """Return who is asked where our own solver is not, or gives up."""
     return "cvxopt" if asked() == "cvxopt" else "clarabel"
 
 
