@@ -22,7 +22,7 @@ and V^½' ≤ −(a / 2) V^½ + ‖d‖, or V^½⁺ ≤ (1 − b)^½ V^½ + ‖d
 as e^(−a t / 2), or the sum of ‖d‖ with weights that fall by (1 − b)^½.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -36,7 +36,6 @@ from pwatrack.ball_matrix import BallMatrix, beside, different
 from pwatrack.lmi.chain_map import Bound
 from pwatrack.lmi.clocked import (
     Clocked,
-    Knot,
     edges,
     in_short_numbers,
     knots_of,
@@ -366,8 +365,18 @@ def contains(
 ) -> bool:
     """Say whether Q satisfy the inequalities, decided in fractions, for everything in the balls; a, b as they print."""
     parts, pushes, ticks = knots_of(system, Q, T), a and not summed, driven.ticks
-    kicks = None if summed else ticks
-    if parts is None or not all(map(is_positive_definite, _jumps(system, kicks, parts, Fraction(repr(b))))):
+    if parts is None:
+        return False
+    (first, _), (last, _), share = parts[0][0], parts[-1][-1], Fraction(repr(b))
+    ends, after_ticks = list[Rational](), [first.P] * len(system.J)
+    if ticks is not None and not summed:
+        after_ticks = [first.P - form_above(g, identity(g.shape[1]) * number(1 / share), first.scale) for g in ticks]
+    for J, left in zip(system.J, after_ticks, strict=True):
+        ends.append(shrunk(J.transpose(), (last.P * number(1 / (1 - share)), last.scale), (left, first.scale)))
+    for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
+        assert system.between is not None
+        ends.append(shrunk(system.between.transpose(), (before.P, before.scale), (after.P, after.scale)))
+    if not all(map(is_positive_definite, ends)):
         return False
     holding = (ticks or driven.held_by(system)) if summed else []
     inside = Q[:1] if ticks else Q
@@ -397,18 +406,3 @@ def _pushed(
     if not is_positive_definite(left):
         return None
     return g + seen @ BallMatrix(back * q.centre), left.inv()
-
-
-def _jumps(
-    system: Clocked, kicks: Sequence[BallMatrix] | None, parts: Sequence[Sequence[Knot]], b: Fraction
-) -> Iterator[Rational]:
-    """Yield what is to be positive definite at ticks and at the ends of parts."""
-    (first, _), (last, _) = parts[0][0], parts[-1][-1]
-    for k, J in enumerate(system.J):
-        kicked = first.P
-        if kicks is not None:
-            kicked = kicked - form_above(kicks[k], identity(kicks[k].shape[1]) * number(1 / b), first.scale)
-        yield shrunk(J.transpose(), (last.P * number(1 / (1 - b)), last.scale), (kicked, first.scale))
-    for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
-        assert system.between is not None
-        yield shrunk(system.between.transpose(), (before.P, before.scale), (after.P, after.scale))

@@ -55,9 +55,6 @@ _INSIDE = Fraction(1, 2**60)  # of the square of w: by so much P is inside its i
 _ABOVE = Fraction(1_000_001, 1_000_000)  # so that other balls come to no more
 
 
-_Modes = tuple[list[Any], Callable[[float], list[Any]]]  # λ_k of one matrix, and e^(λ_k t), each worked out once
-
-
 def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[float, float]] | None:
     """Return the peak gain from d to each form, a row c, between a lower and an upper bound.
 
@@ -74,48 +71,42 @@ def peak_gains(M: BallMatrix, g: BallMatrix, forms: BallMatrix) -> list[tuple[fl
             return None
         seen, at = _complex(forms) * vectors, cache(lambda t: [(rate * flint.arb(t)).exp() for rate in rates])
         N = len(rates)
-        return [_between((rates, at), [seen[j, k] * weights[k, 0] for k in range(N)]) for j in range(forms.shape[0])]
+        return [_between(rates, at, [seen[j, k] * weights[k, 0] for k in range(N)]) for j in range(forms.shape[0])]
 
 
-def _between(modes: _Modes, residues: Sequence[Any]) -> tuple[float, float]:
-    """Return a lower and an upper bound of ∫ |Σ r_k e^(λ_k t)| dt."""
-    rates, at = modes
+def _between(rates: Sequence[Any], at: Callable[[float], list[Any]], r: Sequence[Any]) -> tuple[float, float]:
+    """Return a lower and an upper bound of ∫ |Σ r_k e^(λ_k t)| dt; `at` has the e^(λ_k t), each worked out once."""
     end = float(np.ldexp(1.0, int(np.ceil(np.log2(_LONG / min(-float(rate.real.mid()) for rate in rates))))))
-    rest = sum(
-        (abs(r) * abs(e) / -rate.real for r, e, rate in zip(residues, at(end), rates, strict=True)), flint.arb(0)
-    )
-    heap = list[tuple[float, float, float, Any, Any]]()
-    _add(heap, modes, residues, 0.0, end)
+    rest = sum((abs(v) * abs(e) / -rate.real for v, e, rate in zip(r, at(end), rates, strict=True)), flint.arb(0))
+    heap = list[tuple[float, float, float, Any, Any]]()  # how far bounds are apart, the interval, and both of them
+
+    def add(a: float, b: float) -> None:
+        first, last, middle = at(a), at(b), at((a + b) / 2)
+        h = flint.arb((b - a) / 2)
+        moved = abs(sum(((y - x) * v / p for x, y, v, p in zip(first, last, r, rates, strict=True)), flint.acb(0)).real)
+        here = abs(sum((e * v for e, v in zip(middle, r, strict=True)), flint.acb(0)).real)
+        slope = abs(sum((e * v * p for e, v, p in zip(middle, r, rates, strict=True)), flint.acb(0)).real)
+        sizes = [abs(e) * abs(v) for e, v in zip(first, r, strict=True)]
+        curve = sum((size * abs(p) ** 2 for size, p in zip(sizes, rates, strict=True)), flint.arb(0))
+        away = slope * h + h * h * curve / 2
+        apart, high = 0.0, moved
+        if not here > away:
+            most, least = sum(sizes, flint.arb(0)), here + away
+            high = 2 * h * (most if most < least else least)
+            apart = max(float(high.upper()) - float(moved.lower()), 0.0)
+        heappush(heap, (-apart, a, b, moved, high))
+
+    add(0.0, end)
     for _ in range(_MOST):
         apart, total = sum(-entry[0] for entry in heap), sum(float(entry[3].mid()) for entry in heap)
         if apart <= _NEAR / 2 * total:
             break
         _, a, b, _, _ = heappop(heap)
-        _add(heap, modes, residues, a, (a + b) / 2)
-        _add(heap, modes, residues, (a + b) / 2, b)
+        add(a, (a + b) / 2)
+        add((a + b) / 2, b)
     low = sum((entry[3] for entry in heap), flint.arb(0))
     high = sum((entry[4] for entry in heap), rest)
     return max(float(np.nextafter(float(low.lower()), -np.inf)), 0.0), float(np.nextafter(float(high.upper()), np.inf))
-
-
-def _add(heap: list[tuple[float, float, float, Any, Any]], modes: _Modes, r: Sequence[Any], a: float, b: float) -> None:
-    """Put an interval on the heap, with how far its bounds are apart, and both of them."""
-    rates, at = modes
-    first, last, middle = at(a), at(b), at((a + b) / 2)
-    h = flint.arb((b - a) / 2)
-    moved = abs(sum(((y - x) * v / p for x, y, v, p in zip(first, last, r, rates, strict=True)), flint.acb(0)).real)
-    here = abs(sum((e * v for e, v in zip(middle, r, strict=True)), flint.acb(0)).real)
-    slope = abs(sum((e * v * p for e, v, p in zip(middle, r, rates, strict=True)), flint.acb(0)).real)
-    sizes = [abs(e) * abs(v) for e, v in zip(first, r, strict=True)]
-    curve = sum((size * abs(p) ** 2 for size, p in zip(sizes, rates, strict=True)), flint.arb(0))
-    away = slope * h + h * h * curve / 2
-    if here > away:
-        high = moved
-    else:
-        most, least = sum(sizes, flint.arb(0)), here + away
-        high = 2 * h * (most if most < least else least)
-    apart = 0.0 if here > away else max(float(high.upper()) - float(moved.lower()), 0.0)
-    heappush(heap, (-apart, a, b, moved, high))
 
 
 def _complex(X: BallMatrix) -> Any:
