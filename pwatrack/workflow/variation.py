@@ -87,8 +87,8 @@ class EnsembleResult:
         """How many members failed and how the first of them did, in words; '' if none did."""
         if not self.failed:
             return ""
-        failed, first = len(self.failed), self.failed[0]
-        return f"{failed:,} of {amount(len(self.outcomes), 'member')} fail; member {first + 1}: {self.outcomes[first].text}"
+        count, first = f"{len(self.failed):,} of {amount(len(self.outcomes), 'member')}", self.failed[0]
+        return f"{count} fail; member {first + 1}: {self.outcomes[first].text}"
 
 
 def ensemble(
