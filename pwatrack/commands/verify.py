@@ -287,4 +287,4 @@ def _read(path: Path) -> str:
     try:
         return regular(path, LARGEST).decode("utf-8")
     except (OSError, ValueError) as error:
-        raise InvalidSpec(f"cannot read {path}: {error}") from None
+        raise InvalidSpec(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None

@@ -2,6 +2,7 @@
 
 import os
 import stat
+from json import JSONDecodeError
 from typing import Any
 
 from . import bounds, clocked, corners, region, sampled_box, sampled_region, set_points, simplified, starts, tubes
@@ -52,6 +53,7 @@ def audit(text: str) -> tuple[list[str], list[str]]:
         return [], [str(fault)]
     except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        missing = f"no JSON: {error}" if isinstance(error, JSONDecodeError) else missing
         return [], [f"not a certificate: {missing}"[:200]]
 
 
