@@ -473,7 +473,8 @@ def test_it_is_audited(certificate: dict[str, Any], late: tuple[Spec, ProvedCont
     for content, boxes in ((certificate, 3), (design_certificate(*late), 2)):
         said, faults = audit(json.dumps(content))
         assert not faults
-        assert f"with inputs at their limits errors of the sampled loop go to 0 from {boxes} boxes of starts" in said
+        own = f"errors of the sampled loop, less what all that acts makes of them, go to 0 from {boxes} boxes of starts"
+        assert any(text.startswith(own) for text in said)
 
 
 def times(rows: list[list[str]], factor: float) -> list[list[str]]:
