@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -393,6 +394,21 @@ def test_every_member_is_judged_as_a_run_of_its_own_and_one_that_grows_ends_with
     assert (index["exit"], index["simulation"]["outcome"], index["ensemble"]["failed"]) == (6, "tracks", grown)
     with (tmp_path / "out" / "ensemble.csv").open(encoding="utf-8", newline="") as file:
         assert [row["outcome"] for row in csv.DictReader(file)] == [outcome.kind for outcome in many.outcomes]
+
+
+def test_a_member_that_cannot_be_run_leaves_the_run_itself(tmp_path: Path) -> None:
+    path = cart(tmp_path, "ensemble: {parameters: {k: [1e9, 1e9]}}", duration=8)
+    run = call("simulate", path, "--ensemble", 2, "--over", "parameters", "--out", tmp_path / "out", "--plots", "none")
+    assert (run.exit_code, "member 1" in run.stderr, "the run itself is in" in run.stderr) == (6, True, True)
+    assert {"trace.csv", "certificate.json"} <= {file.name for file in (tmp_path / "out").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"), [({"over": "else"}, "none of"), ({"count": 0}, "at least 1"), ({"seed": -1}, "at least 0")]
+)
+def test_an_ensemble_that_cannot_be_is_refused(asked: dict[str, Any], said: str, short: Result) -> None:
+    with pytest.raises(InvalidSpec, match=said):
+        ensemble(short, **{"count": 2} | asked)
 
 
 def test_a_member_above_its_own_bound_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

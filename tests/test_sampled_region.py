@@ -340,6 +340,20 @@ def test_what_acts_is_taken_off_the_limits(tmp_path: Path, pole: tuple[Spec, Pro
     assert not claim.found
 
 
+def test_a_run_that_begins_on_its_reference_settles_with_no_region(tmp_path: Path) -> None:
+    """What acts takes less than the limits, so none is reached; nothing of it is in the certificate."""
+    noise, path = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}", written(tmp_path, also="NOISE", observer="{}")
+    path.write_text(path.read_text().replace("NOISE", noise).replace("plant: {z: 0.2}", "plant: {}"), encoding="utf-8")
+    controller = design(load_spec(path))
+    claim = controller.claim(SampledRegion)
+    (one,) = (one for one in claim.found if one.starts.kind == "run")
+    assert (one.held, claim.from_this_start(controller)) == (None, True)
+    content = design_certificate(load_spec(path), controller)
+    assert [entry["of"] for entry in content["sampled_regions"]] == [one.starts.kind for one in claim.found if one.held]
+    assert call("design", path, "--out", tmp_path / "out").exit_code == 0
+    assert call("verify", tmp_path / "out").exit_code == 0
+
+
 def test_of_a_run_it_is_said_with_what_noise_adds_to_the_first_estimate(tmp_path: Path) -> None:
     noise = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"
     given = design(load_spec(written(tmp_path, also=noise))).claim(SampledRegion)

@@ -91,6 +91,25 @@ def test_rows_that_have_no_room_give_way_in_the_order_of_their_weight() -> None:
     ]  # that the run went well, or not, has two lines
 
 
+def test_a_row_that_has_others_without_room_says_so() -> None:
+    rows = [("open loop", f"cell {k}: τ {k + 1} s") for k in range(5)]
+    assert fitted(rows, 2) == ["open loop   cell 0: τ 1 s", "open loop   cell 1: τ 2 s; …"]
+    assert not any("…" in line for line in fitted(rows, 5))
+
+
+def test_limits_and_a_disturbance_are_not_proved_by_what_is_proved_of_each_alone(tmp_path: Path) -> None:
+    """Errors settle with limits where nothing disturbs, and end below a bound where no input is at a limit."""
+    limits, disturbed = "  actuator: {limits: {u: [-90, 90]}}\n", "  disturbance: {v: {constant: 0.2}}\n"
+    for more, whole in ((limits, True), (disturbed, True), (limits + disturbed, False)):
+        spec = load_spec(stage(tmp_path, output="0.01*sin(2*t)", more=more))
+        rows = list(first_rows(Findings(spec=spec, controller=design(spec))))
+        said = " ".join(text for label, text in rows if label == "ideal loop")
+        assert ("NOT proved" not in dict(rows)) == whole
+        assert ("no limit reached" in said or "at their limits too" in said) == (more == limits)
+        assert ("in the end" in said) == (disturbed in more)
+        assert ("while no input is at a limit" in said) == (not whole)
+
+
 def test_what_is_declared_times_its_bound_is_what_is_said_in_the_end(tmp_path: Path) -> None:
     """Three standard deviations of the sensor, and the amplitude of the disturbance."""
     spec = load_spec(

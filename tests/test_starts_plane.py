@@ -137,6 +137,20 @@ def test_the_picture_shows_each_member_and_what_is_proved(many: EnsembleResult) 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "acting", ["disturbance: {v: 0.01}", "noise: {std: {y: 1e-4}, sample_time: 0.05}", "plant: {parameters: {a: 0.6}}"]
+)
+def test_nothing_is_drawn_as_proved_of_a_loop_that_does_not_run(acting: str, tmp_path: Path) -> None:
+    path = tmp_path / "bar.yaml"
+    text = BAR.replace("system:", "parameters: {a: 0.5}\nsystem:", 1).replace("slope: 0.5", "slope: a")
+    path.write_text(f"{text}  {acting}\n", encoding="utf-8")
+    few = ensemble(simulate(load_spec(path)), 5, over="plane")
+    assert few.nominal.controller.claim(LimitedRegion).found, "of the loop as designed there is a region"
+    (axes,) = starts_in_plane(few).axes
+    assert not axes.lines
+
+
+@pytest.mark.slow
 def test_a_run_writes_it_and_does_not_fail_by_it(bar: Path, tmp_path: Path) -> None:
     run = call("simulate", bar, "--ensemble", 20, "--over", "plane", "--out", tmp_path / "out", pictures=True)
     assert run.exit_code == 0, run.output
