@@ -225,6 +225,16 @@ def test_a_sweep_whose_first_place_is_outside_the_theory_goes_on(spec: Path, tmp
     assert run.stdout.splitlines()[1] == "1 proved"
 
 
+@pytest.mark.parametrize(("range_", "said"), [("a=1:3:3", "1 invalid spec"), ("a=1:1:1", "")])
+def test_a_sweep_whose_first_place_is_in_error_goes_on_if_others_are_not(
+    range_: str, said: str, spec: Path, tmp_path: Path
+) -> None:
+    """A slope of 1/(a − 1) is no number at a = 1."""
+    spec.write_text(SPEC.replace("slope: 1,", "slope: 1/(a - 1),"), encoding="utf-8")
+    run = CliRunner().invoke(app, ["sweep", str(spec), "--sweep", range_, "--design", "--out", str(tmp_path / "out")])
+    assert (run.exit_code, said in run.stdout) == (0 if said else 2, True), run.output
+
+
 def test_the_table_is_there_as_parquet_too(spec: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     options = ["--sweep", "a=0:2:5", "--sweep", "b=0:1:2", "--design", "--out", str(tmp_path / "out")]

@@ -19,6 +19,7 @@ from pwatrack.interruption import as_ended
 from pwatrack.report.run_folder import written_at_once
 from pwatrack.report.terminal import console, told
 from pwatrack.spec.axis import MOST, Axis, axis
+from pwatrack.spec.load import assignments, read_sweep
 from pwatrack.spec.requirement import QUANTITIES
 
 Method = Literal["grid", "random", "lhs"]
@@ -27,6 +28,7 @@ PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
 
 _TOLD = ("rate", "settling_time", "final_error")  # figures of which the best is said
 _LIMIT = 600.0  # s: for a point
+_TRIED = 20  # places at which a spec is read before it is refused for all
 _HALVINGS = 60  # of an interval at most: more than a double has digits
 
 
@@ -287,6 +289,17 @@ def _table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) 
         writer.writerows([repr(v) if isinstance(v, float) else v for v in row] for row in rows)
 
 
+def _name(spec: Path, fixed: Mapping[str, str], at: Sequence[Mapping[str, float]]) -> str:
+    """Return the name of a spec; raises InvalidSpec if it is in error wherever it is looked at, as at the first one."""
+    refusals = list[InvalidSpec]()
+    for values in at[:: max(len(at) // _TRIED, 1)]:
+        try:
+            return read_sweep(spec, {**fixed, **{key: repr(value) for key, value in values.items()}})[0]
+        except InvalidSpec as refusal:
+            refusals.append(refusal)
+    raise refusals[0]
+
+
 def swept(
     spec: Path,
     ranges: Sequence[str],
@@ -302,14 +315,12 @@ def swept(
     scheduler: str | None,
 ) -> None:
     """Sweep a spec as the command line does, over given ranges or those of the file."""
-    from pwatrack.spec.load import assignments, read_sweep
-
     fixed = assignments(parameters)
     axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
     if not axes:
         raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file")
     at = places(axes, method, count, seed)
-    name, _ = read_sweep(spec, {**fixed, **{key: repr(value) for key, value in at[0].items()}})
+    name = _name(spec, fixed, at)
     with (
         console(stderr=True).status("Starting") as status,
         Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,

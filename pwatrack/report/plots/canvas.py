@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import LayoutEngine
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
@@ -114,11 +115,14 @@ def label(axes: Axes, x: str, y: str, shown: Array | Sequence[float]) -> None:
 
 
 def legend(axes: Axes, columns: int = 2, others: Sequence[Axes] = ()) -> None:
-    """Explain the curves above the panel, each name once; those of other panels too."""
+    """Explain the curves above the panel, each name once; those of other panels too. A limit out of sight has none."""
     named = dict[str, Any]()
     for panel in (axes, *others):
-        handles, texts = panel.get_legend_handles_labels()
-        named |= {text: handle for text, handle in zip(texts, handles, strict=True) if text not in named}
+        low, high = panel.get_ylim()
+        for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
+            at = np.ravel(handle.get_ydata())[0] if isinstance(handle, Line2D) and text == "limit" else low
+            if low <= at <= high:
+                named.setdefault(text, handle)
     axes.legend(
         list(named.values()),
         list(named),
@@ -167,6 +171,9 @@ class _Panels(LayoutEngine):
         panels = [axes for axes in fig.axes if axes.get_in_layout()]  # a panel that is placed is no longer
         if not panels:
             return
+        beside = [axes.yaxis.label for axes in panels if axes.get_ylabel()]
+        for text in beside:
+            text.set_fontsize(min(other.get_fontsize() for other in beside))
         pad, (_, height) = _PAD * fig.dpi, fig.bbox.size
         self._title.set_y(1 - pad / height)
         below = height - self._title.get_window_extent().height - 2 * pad

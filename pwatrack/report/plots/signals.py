@@ -33,6 +33,7 @@ _Kind = Literal["output", "state", "estimate"]  # of what errors are: see `Form`
 _ERRORS = 8  # panels of single errors
 _WITHIN = 3.0  # times the largest error: how much of a band is shown
 _DEPTH = 1e-6  # of where rounding begins: how far below it an error is shown
+_ABOVE = 4.0  # times the largest error or bound: how far a logarithmic scale goes
 _HIGH, _LOW = 1.6, 0.85  # inches of a panel, where there are one or two and where there are more
 
 
@@ -293,7 +294,8 @@ def tracking_error(result: SimulatedLoop) -> Figure:
     norm = "‖e‖" if len(names) > 1 else "size"
     floor = ROUNDING * float(np.abs(desired / response.error_sizes).max())
     _magnitude(panels[-1], response.t, response.error_norm, bound, floor, f"{norm}{f' ({unit})' if unit else ''}")
-    _error_lines(panels[-1], result, (1,))
+    low, high = panels[-1].get_ylim()
+    panels[-1].set_ylim(low, max([high, *(_ABOVE * limit for limit in _error_lines(panels[-1], result, (1,)))]))
     legend(panels[-1], columns=4)
     return figure
 
@@ -330,7 +332,7 @@ def _panels(
     figure, panels = canvas(result, title, [[k] for k in range(count + 1)], height=height, ratios=[*heights, 2.1])
     for axes, k in zip(panels, shown, strict=False):
         name, error = names[k], errors[:, k]
-        seen = max(float(np.abs(error).max()), ROUNDING * float(np.abs(signals[:, k]).max()))
+        seen = max(float(np.abs(error).max()), ROUNDING * max(float(np.abs(signals[:, k]).max()), float(sizes[k])))
         if (proved := result.bands.get((kind, k))) is not None:
             band(axes, t, -proved, proved, "proved, whatever the switching")
             for edge in (-proved, proved):
@@ -355,10 +357,10 @@ def _magnitude(axes: Axes, t: Array, size: Array, bound: Array | None, floor: fl
     if not (size > 0).any():
         axes.text(0.5, 0.5, "0 at all times, in the simulation", transform=axes.transAxes, ha="center", fontsize=9)
     axes.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **LOOK["actual"])
-    low, high = axes.get_ylim()
+    low, most = axes.get_ylim()[0], max(float(size.max()), 0.0 if bound is None else float(bound.max()), floor)
     if low < floor:
         axes.axhspan(low, floor, color="0.92", linewidth=0, label="rounding of the simulation")
-        axes.set_ylim(max(low, _DEPTH * floor), max(high, floor))
+        axes.set_ylim(max(low, _DEPTH * floor), _ABOVE * most)
     label(axes, "time t (s)", f"{name}, logarithmic", t)
 
 

@@ -213,7 +213,9 @@ def _shown(figures: Mapping[str, Array]) -> list[tuple[str, str]]:
 def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> ScalarMappable:
     x, y = (np.unique(part) for part in at)
     if len(x) * len(y) == len(values):
-        return axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
+        drawn = axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
+        axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))  # not beyond what was looked at
+        return drawn
     return axes.scatter(*at, c=values, s=20, **style)
 
 
