@@ -23,19 +23,13 @@ _ROUNDING = 1e-12  # of what is left: what is subtracted is known to that
 
 @dataclass(frozen=True, kw_only=True)
 class KeptLimits(Claim):
-    """Limits of outputs and states: what the reference takes of them, what disturbs, and from which starts they hold.
+    """Limits of outputs and states: what the reference takes of them, what disturbs, and from where they are kept."""
 
-    Attributes:
-        signals: The limits, and what the reference leaves.
-        taken: How much of it what acts in the file takes, (q,), from error 0; None where no bound is proved.
-        promises: What is proved of some starts, with what acts.
-        missing: Why nothing can be proved; "" where it can.
-    """
-
-    signals: SignalRoom
+    signals: SignalRoom  # the limits, and what the reference leaves
+    # how much of it what acts in the file takes, (q,), from error 0; None where no bound is proved
     taken: Array | None = None
-    promises: tuple[StartGuarantee, ...] = ()
-    missing: str = ""
+    promises: tuple[StartGuarantee, ...] = ()  # what is proved of some starts, with what acts
+    missing: str = ""  # why nothing can be proved; "" where it can
 
     statement: ClassVar[str] = "Under limits too: of signals of x, how far from x_d they may be at any time, likewise."
 

@@ -26,23 +26,15 @@ _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
 @dataclass(frozen=True, kw_only=True)
 class StartGuarantee:
-    """By how much inputs, or signals of x, differ from what they are to be, from some starts, in the loop as designed.
+    """By how much inputs, or signals of x, are not what they are to be, from some starts, in the loop as designed."""
 
-    Attributes:
-        starts: Which.
-        loop: Of which loop the ellipsoid is: of e alone, or of (e, Δ).
-        inputs: Those that have limits, or places in `forms`.
-        held: The ellipsoid, or what stands for it; None where none of them is moved.
-        loads: How large the loads at each of these inputs are together; their estimates make the input differ by that.
-        forms: What it is about where it is not about inputs.
-    """
-
-    starts: Starts
-    loop: Loop
-    inputs: tuple[int, ...]
-    held: Held | None
+    starts: Starts  # which
+    loop: Loop  # of which loop the ellipsoid is: of e alone, or of (e, Δ)
+    inputs: tuple[int, ...]  # those that have limits, or places in `forms`
+    held: Held | None  # the ellipsoid, or what stands for it; None where none of them is moved
+    # how large the loads at each of these inputs are together; their estimates make the input differ by that
     loads: tuple[float, ...]
-    forms: tuple[Form, ...] = ()
+    forms: tuple[Form, ...] = ()  # what it is about where it is not about inputs
 
     @property
     def _sizes(self) -> tuple[float, ...]:
@@ -122,15 +114,10 @@ class StartGuarantee:
 
 @dataclass(frozen=True, kw_only=True)
 class NoSaturation(Claim):
-    """Limits of the inputs: what the feedforward takes of them, and from which starts none is reached.
+    """Limits of the inputs: what the feedforward takes of them, and from which starts none is reached."""
 
-    Attributes:
-        room: What the feedforward leaves.
-        promises: What is proved of some starts.
-    """
-
-    room: Headroom
-    promises: tuple[StartGuarantee, ...] = ()
+    room: Headroom  # what the feedforward leaves
+    promises: tuple[StartGuarantee, ...] = ()  # what is proved of some starts
 
     statement: ClassVar[str] = (
         "Under limits: from every start (x - x_d, x_hat - x) = starts v with |v_k| <= 1, or x - x_d = starts v with "

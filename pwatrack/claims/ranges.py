@@ -19,16 +19,12 @@ _SAID = ("y", "u", "x_hat", "s_hat")  # what a summary has; run.json has all
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramRanges(Claim):
-    """Between what each number of the program is, for all that acts in the run.
+    """Between what each number of the program is, for all that acts in the run."""
 
-    Attributes:
-        bounds: Of what acts, and of the start of the run; where that is not known from x = x̂ = x_d on, as the first
-            input acts where inputs are late.
-        steps: Of inputs, half of each, (m,).
-    """
-
+    # of what acts, and of the start of the run; where that is not known from x = x̂ = x_d on, as the first input acts
+    # where inputs are late
     bounds: SampledBounds = field(repr=False)
-    steps: Array
+    steps: Array  # of inputs, half of each, (m,)
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["ProgramRanges"]:

@@ -40,17 +40,11 @@ _NOT_FOUND = "no ellipsoid was found that proves it"
 
 @dataclass(frozen=True, kw_only=True)
 class RegionClaim(Claim):
-    """Starts from which errors settle with limits active.
+    """Starts from which errors settle with limits active."""
 
-    Attributes:
-        room: What the feedforward, and what else is known to act, leaves of the limits.
-        found: What is proved of some starts, each by a region.
-        missing: Why it is of none; "" where it is of some.
-    """
-
-    room: Headroom = field(repr=False)
-    found: tuple[StartGuarantee, ...] = ()
-    missing: str = ""
+    room: Headroom = field(repr=False)  # what the feedforward, and what else is known to act, leaves of the limits
+    found: tuple[StartGuarantee, ...] = ()  # what is proved of some starts, each by a region
+    missing: str = ""  # why it is of none; "" where it is of some
 
     KEY: ClassVar[str]  # of run.json
     LABEL: ClassVar[str]

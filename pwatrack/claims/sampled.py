@@ -34,17 +34,11 @@ _GAINS = Record(SampledGains, K=MATRIX, M=MATRIX, E=MATRIX, **_TIMES)
 
 @dataclass(frozen=True, kw_only=True)
 class SampledClaim(Claim):
-    """What is proved of a loop that is sampled, or why nothing is.
+    """What is proved of a loop that is sampled, or why nothing is."""
 
-    Attributes:
-        gains: Of the program.
-        proof: Forms that prove it; None where it is not proved.
-        missing: Why it is not; "" where it is.
-    """
-
-    gains: SampledGains
-    proof: ClockedProof | None
-    missing: str = ""
+    gains: SampledGains  # of the program
+    proof: ClockedProof | None  # forms that prove it; None where it is not proved
+    missing: str = ""  # why it is not; "" where it is
 
     @property
     def rate(self) -> float:
@@ -54,18 +48,15 @@ class SampledClaim(Claim):
 
 @dataclass(frozen=True, kw_only=True)
 class SampledLoop(SampledClaim):
-    """The sampled loop, proved or not.
+    """The sampled loop, proved or not."""
 
-    Attributes:
-        design: Plant, K, L and sizes that gains for other sample times can be made of; None where it is from a file.
-        estimates: How x_d and u_ff of it depend on estimates.
-        merged: Whether cells are merged in the design and in the program: what that leaves out acts on the loop.
-        cheaper: The K in whose place that of the program is, where this was made for limits, (m, n); else None.
-    """
-
+    # plant, K, L and sizes that gains for other sample times can be made of; None where it is from a file
     design: tuple[PWASystem, Array, Array, Sizes] | None = field(default=None, compare=False, repr=False)
+    # how x_d and u_ff of it depend on estimates
     estimates: OnEstimates | None = field(default=None, compare=False, repr=False)
+    # whether cells are merged in the design and in the program: what that leaves out acts on the loop
     merged: bool = False
+    # the K in whose place that of the program is, where this was made for limits, (m, n); else None
     cheaper: Array | None = field(default=None, compare=False, repr=False)
 
     statement: ClassVar[str] = (

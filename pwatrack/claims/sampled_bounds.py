@@ -50,19 +50,12 @@ _Levels = Sequence[tuple[Sizes, Sequence[tuple[Array, Tube]]]]  # V^½ of the tu
 
 @dataclass(frozen=True, kw_only=True)
 class TubeBounds(Claim):
-    """Tubes for all that acts in a run, of the plant as designed or of others.
+    """Tubes for all that acts in a run, of the plant as designed or of others."""
 
-    Attributes:
-        errors: Of the loop with its program.
-        acts: On them in the run.
-        tubes: Those that are proved, each of one channel or of several together.
-        forms: What the sizes of a tube are of.
-    """
-
-    errors: SampledErrors = field(repr=False)
-    acts: Acting = field(repr=False)
-    tubes: Tubes
-    forms: tuple[Form, ...]
+    errors: SampledErrors = field(repr=False)  # of the loop with its program
+    acts: Acting = field(repr=False)  # on them in the run
+    tubes: Tubes  # those that are proved, each of one channel or of several together
+    forms: tuple[Form, ...]  # what the sizes of a tube are of
 
     KEY: ClassVar[str]
 

@@ -45,18 +45,12 @@ _SHARES = ((0.25, 0.1), (0.5, 1.0))  # of its rate: what V falls with at a limit
 
 @dataclass(frozen=True, kw_only=True)
 class SampledRegion(RegionClaim):
-    """Starts from which the errors of the sampled loop settle with limits active.
+    """Starts from which the errors of the sampled loop settle with limits active."""
 
-    Attributes:
-        changes: What is left, likewise, of what inputs may change by in a sample, (m,); None where these have no such
-            limits.
-        idle: Whether nothing acts.
-        late: Whether inputs are: then starts with x̂ = x are as the first input of the program acts.
-    """
-
+    # what is left, likewise, of what inputs may change by in a sample, (m,); None where these have no such limits
     changes: Array | None = field(repr=False)
-    idle: bool
-    late: bool = False
+    idle: bool  # whether nothing acts
+    late: bool = False  # whether inputs are: then starts with x̂ = x are as the first input of the program acts
 
     statement: ClassVar[str] = (
         "Under sampled_regions: z as under sampled, before a tick, with nu = 0 and rho = 0 at the starts, D the rows "

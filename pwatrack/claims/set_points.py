@@ -16,15 +16,10 @@ from pwatrack.control.words import Words, down
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints(Claim):
-    """Between what u_ff is for any reference that keeps the limits of the file.
+    """Between what u_ff is for any reference that keeps the limits of the file."""
 
-    Attributes:
-        demand: That, or why it is not known.
-        room: What limits of the inputs leave beside it; None where there are none.
-    """
-
-    demand: Demand
-    room: Headroom | None
+    demand: Demand  # that, or why it is not known
+    room: Headroom | None  # what limits of the inputs leave beside it; None where there are none
 
     statement: ClassVar[str] = (
         "Under set_points: in continuous time, for every y_d with (xi_d, y_d^(r)) in box at all times, the generator "

@@ -35,21 +35,14 @@ def loads_at_start(controller: ProvedController, conditions: Conditions) -> Arra
 
 @dataclass(frozen=True, kw_only=True)
 class LoadsAlong:
-    """Loads s, s' = S s, and what they step by just before a tick.
+    """Loads s, s' = S s, and what they step by just before a tick."""
 
-    Attributes:
-        S: In 1/s, (k, k).
-        start: s from the first tick on, (k,).
-        steps: By the number of a tick, (k,) each; what errors are without at first is one at the first.
-        sample_time: From tick to tick, in s.
-        rest: What of the disturbance acts beside them; None where nothing does.
-    """
-
-    S: Array
-    start: Array
-    sample_time: float
+    S: Array  # in 1/s, (k, k)
+    start: Array  # s from the first tick on, (k,)
+    sample_time: float  # from tick to tick, in s
+    # by the number of a tick, (k,) each; what errors are without at first is one at the first
     steps: Mapping[int, Array] = field(default_factory=dict)
-    rest: Exosystem | None = None
+    rest: Exosystem | None = None  # what of the disturbance acts beside them; None where nothing does
 
     @classmethod
     def of(cls, controller: ProvedController, conditions: Conditions, gains: SampledGains) -> "LoadsAlong":
