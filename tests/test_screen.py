@@ -12,7 +12,7 @@ from typer.testing import Result
 from pwatrack import design, load_spec, simulate
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.report.screen import COLUMNS, LINES, Findings, first_rows, fitted, joined
-from pwatrack.simulation.margins import loop_margins
+from pwatrack.simulation.margins import loop_margins, worst
 from pwatrack.workflow.bands import declared
 from pwatrack.workflow.cautions import assessed, plant_questions
 from tests.scenarios import TWO
@@ -344,3 +344,23 @@ def test_a_plant_of_the_box_is_not_called_unproved(specs: Path, tmp_path: Path) 
         found = first_rows(Findings(spec=spec, controller=design(spec)))
         rows = [text for label, text in found if label == "NOT proved"]
         assert rows == [f"for other m = {value}, k = 64" if named else BOUND.format(value)]
+
+
+def test_a_small_gain_margin_is_told(tmp_path: Path) -> None:
+    """A pad that is much stiffer than what counts: a cell alone is unstable with its gain a third larger."""
+    path = stage(tmp_path, output="0.01 + 0.02*sin(4*t)")
+    pad = "[{name: pad, kind: spring, of: z, start: 0.02, slope: 333, into: {v: -1}}]\nreference"
+    text = re.sub(r"(?s)\[\[0, 1\], \[0, -d/m\]\]", "[[0, 1], [0, -7.5]]", path.read_text(encoding="utf-8"))
+    text = re.sub(r"(?s)nonlinearities:.*?\nreference", f"nonlinearities: {pad}", text).replace("[1/m]", "[0.00833]")
+    path.write_text(text, encoding="utf-8")
+    spec = load_spec(path)
+    made = design(spec)
+    (said,) = (text for text in assessed(spec, made).warnings if text.startswith("gain margin"))
+    of = worst(loop_margins(made))
+    assert of is not None
+    assert (of.phase > np.pi / 6, of.least_gain < 1.4) == (True, True)
+    assert said.startswith(f"gain margin × {of.least_gain:.3g} of each cell by itself: more is unstable; halving or")
+    for letter, factor in (("K", 0.5), ("K", 2.0), ("L", 0.5), ("L", 2.0)):
+        changed = replace(made.design, **{letter: factor * getattr(made.design, letter)})
+        other = worst(loop_margins(replace(made, design=changed)))
+        assert other is None or other.least_gain < 1.2 * of.least_gain

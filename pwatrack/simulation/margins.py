@@ -41,6 +41,12 @@ class Margins:
     delay: float  # by how much it may be late, in s; infinite likewise
     crossover: float  # the highest frequency at which the gain is 1, in rad/s; 0 where there is none
 
+    @property
+    def least_gain(self) -> float:
+        """The factor, either way, that the input may be scaled by."""
+        low, high = self.gain
+        return min(high, 1 / low if low else np.inf)
+
 
 def loop_margins(controller: ProvedController) -> list[Margins]:
     """Return the margins of each different cell of the plant of a design at each input; nothing where that takes long.
@@ -99,9 +105,11 @@ def margin_figures(controller: ProvedController) -> dict[str, float]:
     found = worst(loop_margins(controller))
     if found is None:
         return {}
-    low, high = found.gain
-    gain = min(high, 1 / low if low else np.inf)
-    return {"gain_margin": gain, "phase_margin": float(np.degrees(found.phase)), "delay_margin": found.delay}
+    return {
+        "gain_margin": found.least_gain,
+        "phase_margin": float(np.degrees(found.phase)),
+        "delay_margin": found.delay,
+    }
 
 
 def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:

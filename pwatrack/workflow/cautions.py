@@ -50,6 +50,7 @@ _CHANGES = (  # of a gain, and what has it designed so
     ("L", 2.0, "lower 'sizes' of outputs"),
 )
 _OF_LOADS = (("lower", 0.1), ("raise", 10.0))  # times their sizes: what is tried where K and L help little
+_LITTLE_GAIN = 1.4  # 3 dB: half of what is usually asked for
 _WORTH = 1.2  # times as much margin is worth a word
 
 
@@ -105,7 +106,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
         *_near_limits(spec, controller),
         *_gentle(controller),
         *_sampling(spec, controller, margins),
-        *_little_phase(controller, margins, spec.words.goals),
+        *_little_margin(controller, margins, spec.words.goals),
     ]
     return Assessment(
         acting=acting,
@@ -117,22 +118,28 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     )
 
 
-def _little_phase(controller: ProvedController, margins: Margins | None, goals: Mapping[Role, Goal]) -> Iterator[str]:
-    """Yield that a cell has little phase margin, and which change of K or L by itself would give most of it."""
-    if margins is None or margins.phase >= _LITTLE_PHASE:
+def _little_margin(controller: ProvedController, margins: Margins | None, goals: Mapping[Role, Goal]) -> Iterator[str]:
+    """Yield that a cell has little phase or gain margin, and which change of K or L by itself would give most of it."""
+    if margins is None or (margins.phase >= _LITTLE_PHASE and margins.least_gain >= _LITTLE_GAIN):
         return
-    design, found = controller.design, list[tuple[float, str]]()
+    design, tried = controller.design, list[tuple[Margins, str, str]]()
     for letter, factor, sizes in _CHANGES:
         changed = replace(design, **{letter: factor * getattr(design, letter)})
         other = worst(loop_margins(replace(controller, design=changed)))
-        if other is not None:
-            found.append((other.phase, f"{letter} × {factor:g} would have {np.degrees(other.phase):.2g}°: {sizes}"))
+        tried += [] if other is None else [(other, f"{letter} × {factor:g} would have", sizes)]
+    asked = any(isinstance(goal, AtLeast) and goal.rate for goal in goals.values())
+    others = ["a smaller 'rate'"] * asked + ["a sensor or actuator more"]
+    no_change = f"halving or doubling K or L helps little: try {', '.join(others)}"
+    if margins.phase >= _LITTLE_PHASE:
+        gains = [(m.least_gain, f"{made} × {m.least_gain:.3g}: {sizes}") for m, made, sizes in tried]
+        most, better = max(gains, default=(0.0, ""))
+        better = better if most >= _WORTH * margins.least_gain else no_change
+        yield f"gain margin × {margins.least_gain:.3g} of each cell by itself: more is unstable; {better}"
+        return
+    found = [(m.phase, f"{made} {np.degrees(m.phase):.2g}°: {sizes}") for m, made, sizes in tried]
     most, better = max(found, default=(0.0, ""))
     if most < _WORTH * margins.phase:
-        asked = any(isinstance(goal, AtLeast) and goal.rate for goal in goals.values())
-        others = ["a smaller 'rate'"] * asked + ["a sensor or actuator more"]
-        better = _other_loads(controller, goals, _WORTH * margins.phase)
-        better = better or f"halving or doubling K or L helps little: try {', '.join(others)}"
+        better = _other_loads(controller, goals, _WORTH * margins.phase) or no_change
     elif most < _LITTLE_PHASE:
         better += "; or try a 'rate' of each"
     where = f"in cell '{controller.plant.cell_names[margins.cell]}'"
