@@ -122,7 +122,7 @@ def test_on_a_terminal_a_step_that_takes_long_says_how_long(specs: Path, tmp_pat
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs, env=environment) as running:
         os.close(theirs)
         with suppress(OSError):  # as it ends
-            while not re.search(rb"Solving the matrix inequalities: [1-9]\d* programs, \d+ s", said):
+            while not re.search(rb"Finding gains, proofs and bounds: [1-9]\d* programs, \d+ s", said):
                 said += os.read(ours, 1000)
             running.send_signal(signal.SIGTERM)
     os.close(ours)

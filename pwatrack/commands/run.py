@@ -141,7 +141,7 @@ class _Made:
         known = None if stored is None else read(stored)
         if known is not None:
             self.spec = spec = with_gains(spec, known)
-        with self.step("design", "Solving the matrix inequalities"):
+        with self.step("design", "Finding gains, proofs and bounds"):
             asked = replace(spec, objectives=replace(spec.objectives, uncertain=())) if scaled else spec
             controller = pipeline.design(asked, growing=growing)
         if known is not None:
