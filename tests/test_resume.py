@@ -108,17 +108,18 @@ def test_what_left_no_folder_is_run_again(tmp_path: Path) -> None:
 def test_leftovers_of_killed_runs_are_swept_and_those_at_work_stay(tmp_path: Path) -> None:
     folder, out = make(tmp_path / "specs", ("exit0",)), tmp_path / "out"
     again(folder, out)
-    for name in ("exit0/.pwatrack-dead", "exit0/.pwatrack-alive"):
-        (out / name).mkdir()
+    dead, alive = (f".pwatrack-{letter * 16}" for letter in "da")
+    for name in (dead, alive):
+        (out / "exit0" / name).mkdir()
     (temporary,) = (p.with_name(f".{p.name}.{'0' * 16}") for p in (out / ".batch").glob("*.json"))
     temporary.touch()
     hold = "import fcntl, os, sys; fcntl.flock(os.open(sys.argv[1], 0), fcntl.LOCK_EX); print(flush=True); input()"
-    command = [sys.executable, "-S", "-c", hold, str(out / "exit0" / ".pwatrack-alive")]
+    command = [sys.executable, "-S", "-c", hold, str(out / "exit0" / alive)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout is not None
         holder.stdout.readline()
         assert again(folder, out) == {"exit0": "cached"}
-        assert [path.name for path in (out / "exit0").glob(".*")] == [".pwatrack-alive"]
+        assert [path.name for path in (out / "exit0").glob(".*")] == [alive]
         holder.communicate(b"\n")
     assert again(folder, out, "all") == {"exit0": "pass"}
     assert not list((out / "exit0").glob(".*"))
