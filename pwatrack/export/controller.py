@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, amount
 from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import prefix
@@ -99,7 +99,10 @@ class Controller:
 
     def state(self, name: str) -> NDArray[Any]:
         """Return a part of the state: y, u, x_hat, s_hat, eta_hat, w, late, before, wanted or x_d."""
-        return self._kept["memory"][self._programs[bool(self._given)].places[name]].copy()
+        places = self._programs[bool(self._given)].places
+        if name not in places:
+            raise InvalidSpec(f"{name!r} is no part of the state: it has {', '.join(places)}", subject=None)
+        return self._kept["memory"][places[name]].copy()
 
     def reset(self, x_hat: ArrayLike | None = None, eta_hat: ArrayLike | None = None) -> None:
         """Start anew: from what the file says, where nothing else is given.
@@ -136,7 +139,7 @@ class Controller:
         q, entries = self._programs[given].sizes["q"], len(self._programs[given].given)
         measured, wanted = (np.array(v if v is not None else [], dtype=self._real).reshape(-1) for v in (y, y_d))
         if len(measured) != q or (given and len(wanted) != entries):
-            raise ValueError(f"{q} outputs{f' and {entries} entries of the reference' * given} are expected")
+            raise ValueError(f"{amount(q, 'output')}{f' and {entries} entries of the reference' * given} are expected")
         self.status = int(tick(self._routine, **self._kept, y=measured, given=wanted))
         return self.state("u")
 

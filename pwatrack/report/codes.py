@@ -27,7 +27,7 @@ CODES = (
     Explained("P205", r"(entry|entries|rows?), expected", "A matrix of the wrong shape", "Rows and columns follow the names under states, inputs and outputs, in their order: A has a row and a column for each state, B a column for each input, C a row for each output."),
     Explained("P206", r"at most .* (is|are) (read|taken|looked at|walked)", "More than is read", "The limit is in the message. It is there so that a file cannot take all memory and time."),
     Explained("P207", r"^table ", "A table that cannot be used", "A table is a text file with a header, a column of times that increase, and a column of values, in the folder of the spec; docs/reference/spec_file.md says how columns, units and decimal commas are given."),
-    Explained("P208", r"^cannot write", "A place that cannot be written", "Nothing was changed there. Look for a full disk, missing rights, or a file where a folder should be; choose another --out."),
+    Explained("P208", r"^cannot write", "A place that cannot be written", "Nothing was changed there. Look for a full disk, missing rights, or a file where a folder should be; choose another folder (--out)."),
     Explained("P209", r"^cannot read|is no folder and no file", "A file that cannot be read", "Paths are relative to the folder that the program was started in; those in a spec to the folder of the spec."),
     Explained("P210", r"is missing", "Something that every spec has is missing", "A spec has at least name, system, reference and simulation. 'pwatrack init' writes one to start from."),
     Explained("P211", r"^--scheduler", "A scheduler that cannot be used", "docs/cluster.md says how scheduler and workers are started. Workers need the package under the same versions as here."),

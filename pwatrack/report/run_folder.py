@@ -162,7 +162,7 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
     """
     path, left = Path(path), _LEFT.get()
     home = path if left is None else Path(gettempdir()) / f"pwatrack-{os.getuid()}"
-    with _hidden(home, _STAGE, Path.mkdir, f"results to {path}", "choose another --out") as stage:
+    with _hidden(home, _STAGE, Path.mkdir, f"results to {path}", "choose another folder (--out)") as stage:
         yield RunFolder(path, stage, left)
 
 
