@@ -152,8 +152,10 @@ def test_it_starts_anew_and_takes_a_reference_from_outside(run: tuple[Path, Resu
     y_d = 0.15 * np.column_stack([np.sin(w * t), w * np.cos(w * t), -w * w * np.sin(w * t)])
     found = np.array([controller.step([0.1], row) for row in y_d]) - inside
     assert np.abs(found).max() < 1.01 * 0.15 * w**3 * 0.001  # half a sample of what is not given
-    with pytest.raises(ValueError, match="1 outputs and 3 entries"):
+    with pytest.raises(ValueError, match="1 output and 3 entries"):
         controller.step([0.1], [0.0])
+    with pytest.raises(InvalidSpec, match="'z' is no part of the state: it has y, u, x_hat"):
+        controller.state("z")
 
 
 def test_a_measurement_that_is_no_number_holds_the_input(run: tuple[Path, Result]) -> None:
