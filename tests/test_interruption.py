@@ -126,4 +126,4 @@ def test_on_a_terminal_a_step_that_takes_long_says_how_long(specs: Path, tmp_pat
                 said += os.read(ours, 1000)
             running.send_signal(signal.SIGTERM)
     os.close(ours)
-    assert re.search(rb"inequalities: [1-9]\d* programs, \d+ s", said), said[-500:]
+    assert re.search(rb"bounds: [1-9]\d* programs, \d+ s", said), said[-500:]

@@ -22,9 +22,10 @@ from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop
 from pwatrack.claims.sampled_bounds import SampledBounds
+from pwatrack.claims.sampled_start import is_start
 from pwatrack.claims.tube_search import TubeSearch
 from pwatrack.control.bounds import Channel
-from pwatrack.control.controller import ProvedController
+from pwatrack.control.controller import ProvedController, Seen
 from pwatrack.control.program import program
 from pwatrack.control.sampled_disturbances import Acting, driven, level, row
 from pwatrack.control.sampled_gains import SampledGains
@@ -38,6 +39,7 @@ from pwatrack.simulation.desired import desired_flow
 from pwatrack.simulation.held import Held
 from pwatrack.simulation.loads_along import LoadsAlong
 from pwatrack.simulation.propagate import simulate_flow
+from pwatrack.workflow.bands import start_of_errors
 from pwatrack.workflow.pipeline import asked_of
 from tests.plain import Plain
 from tests.sampled import all_of_size_one, asking, integrated, tubes_alone, worst_found
@@ -1001,6 +1003,20 @@ def test_the_band_of_a_sampled_run_is_that_of_its_tubes(tmp_path: Path) -> None:
     assert (np.abs(response.x_hat - response.x) <= np.array([bands["estimate", k] for k in range(n)]).T).all()
     assert bands["output", 0].max() > 1.5 * bands["output", 0][-1]
     assert bands["output", 0][0] >= 0.05
+    claim = the_bounds(result.controller)
+    assert bands["output", 0].max() <= claim.from_start["output", 0].max(), "what is said is what is drawn"
+    own = start_of_errors(result.loop, response)
+    assert [is_start(claim.errors, share * own, claim.noise) for share in (1, -1, 0.5, 1.01)] == [
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert not is_start(claim.errors, own + np.eye(2 * n)[n] * 1e-3, claim.noise), "another estimate is another start"
+    tubes = tuple((of, each) for of, each in claim.tubes if not any(kind == "start" for kind, _ in of))
+    without = replace(claim, tubes=tubes)
+    seen = Seen(t=response.t, start=own, acting={}, designed=False, w=None, sampled=True)
+    assert (without.allows(result.controller, seen)["output", 0] >= bands["output", 0]).all()
     scenario = result.spec.scenario
     finer = replace(result.spec, scenario=replace(scenario, sample_time=scenario.sample_time / 4))
     between = simulate(finer, result.controller)  # there x̂ is what it was at the tick, and no estimate

@@ -354,6 +354,24 @@ def test_a_run_that_begins_on_its_reference_settles_with_no_region(tmp_path: Pat
     assert call("verify", tmp_path / "out").exit_code == 0
 
 
+@pytest.mark.parametrize("limit", [1.0, 1.0 - 5e-7])
+def test_where_the_feedforward_takes_a_whole_limit_a_start_on_the_reference_is_in_no_region(
+    limit: float, tmp_path: Path
+) -> None:
+    """It is unstable there: any error at all would leave it."""
+    path = tmp_path / "pole.yaml"
+    text = POLE.replace(", MORE", "").replace("  ALSO\n", "").replace("[-2, 2]", f"[{-4 * limit}, {4 * limit}]")
+    text = text.replace(
+        "nonlinearities: [{name: cushion, kind: spring, of: z, start: 0.2, slope: 3, into: {v: -1}}]", ""
+    )
+    text = text.replace("reference: {setpoint: {y: 0}}", "reference: {setpoint: {y: -1}}")
+    path.write_text(text.replace("{z: 0.2}", "{z: -1}").replace("OBSERVER", "{z: -1}"), encoding="utf-8")
+    controller = design(load_spec(path))
+    claim = controller.claim(SampledRegion)
+    assert not claim.found
+    assert not claim.from_this_start(controller)
+
+
 def test_of_a_run_it_is_said_with_what_noise_adds_to_the_first_estimate(tmp_path: Path) -> None:
     noise = "noise: {std: {y: 1e-3}, sample_time: 0.02, seed: 1}"
     given = design(load_spec(written(tmp_path, also=noise))).claim(SampledRegion)

@@ -364,3 +364,18 @@ def test_a_small_gain_margin_is_told(tmp_path: Path) -> None:
         changed = replace(made.design, **{letter: factor * getattr(made.design, letter)})
         other = worst(loop_margins(replace(made, design=changed)))
         assert other is None or other.least_gain < 1.2 * of.least_gain
+
+
+def test_a_gain_margin_says_which_side_and_no_unstable_loop_is_advised(tmp_path: Path) -> None:
+    """x' = x + u is unstable with u = K x where K is above −1: −1.25 may be a fifth smaller, and not half."""
+    path = tmp_path / "unstable.yaml"
+    system = "{states: [x], inputs: [u], outputs: [y], sizes: {x: 1, u: 1, y: 1}, A: [[1]], B: [[1]], C: [[1]]}"
+    for L in (-200, -8):
+        gains = f"design: {{tracking: output, controller: {{K: [[-1.25]]}}, observer: {{L: [[{L}]]}}}}"
+        rest = "reference: {output: {constant: 1}}\nsimulation: {duration: 5, sample_time: 0.01}"
+        path.write_text(f"name: unstable\nsystem: {system}\n{gains}\n{rest}\n", encoding="utf-8")
+        spec = load_spec(path)
+        said = " ".join(assessed(spec, design(spec)).warnings)
+        assert "K × 0.5" not in said
+        assert "more is unstable" not in said
+    assert "less is unstable" in said or "phase margin" in said

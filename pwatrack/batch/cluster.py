@@ -186,10 +186,13 @@ def work(content: bytes, settings: Settings, known: Mapping[str, str]) -> bytes:
     multiprocessing.current_process().daemon = False  # that of a nanny may have no children; ours end with it anyway
     idle, (timeout, memory, preload) = _idle(settings), settings
     try:
+        function, positional, named = ForkingPickler.loads(content)
+    except Exception as broken:
+        return _answer(broken, False)
+    try:
         pool = idle.pop()
     except IndexError:
         pool = Pool(1, timeout=timeout, memory=memory, preload=preload)
-    function, positional, named = ForkingPickler.loads(content)
     future = pool.submit(function, *positional, **named)
     while not futures.wait([future], _LOOK).done:
         if _forgotten():

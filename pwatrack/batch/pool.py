@@ -142,6 +142,7 @@ class Pool(Executor):
         self._threads = ThreadPoolExecutor(jobs, initializer=signal.pthread_sigmask, initargs=not_ours)
         self._lock = threading.Lock()
         self._idle: list[_Worker] = []
+        self._closed = False  # whether what becomes idle ends
         self._killed, self._kill = self._context.Pipe(duplex=False)  # closed where nothing is to go on
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -156,7 +157,7 @@ class Pool(Executor):
             self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
         self._threads.shutdown(wait=wait)
         with self._lock:
-            idle, self._idle = self._idle, []
+            idle, self._idle, self._closed = self._idle, [], True
         for worker in idle:
             worker.process.terminate()
         for worker in idle:
@@ -192,7 +193,10 @@ class Pool(Executor):
         else:
             worker.said.clear()
             with self._lock:
-                self._idle.append(worker)
+                kept = not self._closed
+                self._idle += [worker] * kept
+            if not kept:
+                worker.end()
             answer, fine = ForkingPickler.loads(message)
             if fine:
                 return answer

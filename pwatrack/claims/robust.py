@@ -56,10 +56,13 @@ class Robust(Claim):
         if not asked.box:
             return
         plant, output = controller.plant, controller.tracking == "output"
+        if told is not None and told["uncertain"] is None:
+            return
         corners = tuple(asked.corners(plant))
         if told is None:
             yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)
-        elif (content := told["uncertain"]) is not None:
+        else:
+            content = told["uncertain"]
             count = len(joint_matrices(plant.exact, corners, *controller.design.exact))
             bounds = tuple(map(read_bounds, content["bounds"]))
             yield cls(box=asked.box, plant=plant, corners=corners, count=count, bounds=bounds)

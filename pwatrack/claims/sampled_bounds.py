@@ -288,7 +288,7 @@ class TubeBounds(Claim):
         ticking = not gains.jitter and (np.abs(times - np.rint(times)) <= _ROUNDED * np.maximum(times, 1.0)).all()
         told = {form: each for form, each in self.anywhere.items() if ticking or form[0] != "estimate"}
         found = {form: _around(each, at, near) + most[form] for form, each in told.items()}
-        if is_start(self.errors, seen.start):
+        if self.from_start and is_start(self.errors, seen.start, self.noise):
             found |= {form: np.minimum(found[form], _around(self.from_start[form], at, near)) for form in found}
         return found
 

@@ -153,7 +153,7 @@ class _Search:
         for one in (every(self.controller), *known):
             if one.kind in told:
                 yield self.guarantee(one, read_held(told[one.kind]))
-            elif one.z is not None and not one.z.any() and "every" not in told:
+            elif one.z is not None and self.on_reference(one.z) and "every" not in told:
                 yield self.guarantee(one, None)
 
     @property
@@ -242,10 +242,15 @@ class _Search:
             yield self.guarantee(every(self.controller), held)
             return
         for one in (one for one in self.starts if not kinds or one.kind in kinds):
-            if not self.errors.before(one).any():  # what acts takes less than there is: no limit is reached
+            if self.on_reference(self.errors.before(one)):
                 yield self.guarantee(one, None)
             elif looked_at(self.controller, one) and (best := self._largest(one)):
                 yield best
+
+    def on_reference(self, before: Array) -> bool:
+        """Whether starts are without errors, and what acts takes less than there is: then no limit is reached."""
+        left = self.bare.left
+        return not before.any() and left is not None and bool((left[list(self.limited)] > 0).all())
 
     def against_windup(self, starts: Starts) -> Iterator[tuple[SampledGains, float]]:
         """Yield gains with one against windup, K and M as they are, and how much of the starts is proved with it."""

@@ -11,7 +11,6 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.exact_text import CLOSE, doubles
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
-from pwatrack.control.headroom import Starts
 from pwatrack.control.sampled_disturbances import ROUNDING, Acting, begun
 from pwatrack.control.sampled_error import SampledErrors
 
@@ -49,16 +48,20 @@ def _begun(errors: SampledErrors, acts: Acting, columns: Array) -> tuple[Sampled
     return replace(errors, starts=starts_at), replace(acts, squares=squares)
 
 
-def is_start(errors: SampledErrors, start: Array) -> bool:
-    """Say whether errors (e, Δ, σ) are such as these begin with."""
-    if errors.starts is None or not errors.starts:
-        return errors.starts is not None and not start.any()
-    n, sizes = len(errors.plant.B), np.array(errors.clocked.sizes)[:, None]
-    e, delta, load = np.split(start[:, None], [n, 2 * n])
-    z = errors.before(Starts(kind="run", e=e, delta=delta, load=load)) / sizes
-    columns = np.hstack([column.floats for column in errors.starts]) / sizes
+def is_start(errors: SampledErrors, start: Array, noise: Array) -> bool:
+    """Say whether errors (e, Δ, σ) after the first tick follow from these starts, with so much noise at most, (q,)."""
+    if errors.starts is None:
+        return False
+    (n, m, N, *_), M, of = errors.widths, errors.gains.M, errors.estimates
+    before = np.hstack([np.zeros((errors.order, 0)), *(column.floats for column in errors.starts)])
+    corrected = np.eye(N) + M @ errors.plant.observed.C.floats
+    after = np.vstack([before[:n], corrected @ before[n + m : n + m + N]])
+    drawn = np.vstack([np.zeros((n, len(noise))), M * noise])
+    sizes = np.array(errors.clocked.sizes)[[*range(n), *range(n + m, n + m + N)], None]
+    e = start[:n] if of is None else start[:n] + of.X.floats @ start[2 * n :]
+    columns, z = np.hstack([after, drawn]) / sizes, np.append(e, start[n:])[:, None] / sizes
     parts = np.linalg.lstsq(columns, z)[0]
-    return bool(np.abs(columns @ parts - z).max() <= ROUNDING and np.abs(parts).max() <= 1 + ROUNDING)
+    return bool(np.abs(columns @ parts - z).max() <= ROUNDING and np.abs(parts).max(initial=0.0) <= 1 + ROUNDING)
 
 
 def of_this_start(told: Mapping[Channel, Any], errors: SampledErrors) -> tuple[bool, SampledErrors]:

@@ -14,8 +14,8 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from glob import escape
@@ -162,28 +162,30 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
     """
     path, left = Path(path), _LEFT.get()
     home = path if left is None else Path(gettempdir()) / f"pwatrack-{os.getuid()}"
-    with _hidden(home, _STAGE, Path.mkdir, f"results to {path}", "choose another folder (--out)") as stage:
+    with _hidden(home, _STAGE, f"results to {path}", "choose another folder (--out)", folder=True) as stage:
         yield RunFolder(path, stage, left)
 
 
 @contextmanager
 def written_at_once(path: Path) -> Iterator[Path]:
     """Return a path to write to, which takes the place of `path` when the block ends, or raise InvalidSpec."""
-    with _hidden(path.parent, f".{path.name[:100]}.", Path.touch, str(path), "choose another path") as temporary:
+    with _hidden(path.parent, f".{path.name[:100]}.", str(path), "choose another path") as temporary:
         yield temporary
         temporary.replace(path)
 
 
 @contextmanager
-def _hidden(home: Path, name: str, make: Callable[[Path], None], said: str, hint: str) -> Iterator[Path]:
+def _hidden(home: Path, name: str, said: str, hint: str, *, folder: bool = False) -> Iterator[Path]:
     """Make a file or folder whose name begins so, and remove it in the end; raise InvalidSpec where that fails."""
     temporary = home / f"{name}{secrets.token_hex(8)}"
     try:
         home.mkdir(parents=True, exist_ok=True)
-        with _alone(home):  # or another would take it for one that nobody owns
+        with _alone(home) if folder else nullcontext():  # or another would take it for one that nobody owns
             sweep(home, name)
-            make(temporary)
-            owner = _locked(os.open(temporary, os.O_RDONLY))
+            if folder:
+                temporary.mkdir()
+            new = 0 if folder else os.O_CREAT | os.O_EXCL
+            owner = _locked(os.open(temporary, os.O_RDONLY | new, 0o666))
         try:
             yield temporary
         finally:

@@ -40,6 +40,7 @@ class Margins:
     phase: float  # by how much it may be turned to either side, in rad; π where the gain is 1 at no frequency
     delay: float  # by how much it may be late, in s; infinite likewise
     crossover: float  # the highest frequency at which the gain is 1, in rad/s; 0 where there is none
+    stable: bool  # whether it is, as it is
 
     @property
     def least_gain(self) -> float:
@@ -90,6 +91,7 @@ def worst(found: Sequence[Margins]) -> Margins | None:
         gain=(max(one.gain[0] for one in found), min(one.gain[1] for one in found)),
         delay=min(one.delay for one in found),
         crossover=max(one.crossover for one in found),
+        stable=all(one.stable for one in found),
     )
 
 
@@ -139,6 +141,7 @@ def _margins(M: Array, g: Array, row: Array, cell: int, k: int) -> Margins:
         phase=float(np.abs(angles).min(initial=np.pi)),
         delay=float(np.min(np.mod(angles, 2 * np.pi) / passing, initial=np.inf)),
         crossover=float(passing.max(initial=0.0)),
+        stable=bool((values[: len(M)].real < 0).all()),
     )
 
 

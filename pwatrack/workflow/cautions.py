@@ -126,7 +126,7 @@ def _little_margin(controller: ProvedController, margins: Margins | None, goals:
     for letter, factor, sizes in _CHANGES:
         changed = replace(design, **{letter: factor * getattr(design, letter)})
         other = worst(loop_margins(replace(controller, design=changed)))
-        tried += [] if other is None else [(other, f"{letter} × {factor:g} would have", sizes)]
+        tried += [] if other is None or not other.stable else [(other, f"{letter} × {factor:g} would have", sizes)]
     asked = any(isinstance(goal, AtLeast) and goal.rate for goal in goals.values())
     others = ["a smaller 'rate'"] * asked + ["a sensor or actuator more"]
     no_change = f"halving or doubling K or L helps little: try {', '.join(others)}"
@@ -134,7 +134,8 @@ def _little_margin(controller: ProvedController, margins: Margins | None, goals:
         gains = [(m.least_gain, f"{made} × {m.least_gain:.3g}: {sizes}") for m, made, sizes in tried]
         most, better = max(gains, default=(0.0, ""))
         better = better if most >= _WORTH * margins.least_gain else no_change
-        yield f"gain margin × {margins.least_gain:.3g} of each cell by itself: more is unstable; {better}"
+        which = "more" if margins.gain[1] <= margins.least_gain else "less"
+        yield f"gain margin × {margins.least_gain:.3g} of each cell by itself: {which} is unstable; {better}"
         return
     found = [(m.phase, f"{made} {np.degrees(m.phase):.2g}°: {sizes}") for m, made, sizes in tried]
     most, better = max(found, default=(0.0, ""))
