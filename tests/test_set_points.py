@@ -350,7 +350,7 @@ def test_it_starts_at_rest_where_the_reference_does_and_says_what_is_given() -> 
     assert (file.program.outside.given, file.program.outside.reference) == (["y"], ["y", "dy/dt", "d2y/dt2"])
     controller.step([0.1], [0.1])
     np.testing.assert_array_equal(controller.state("w"), [0.1, 0, 0])
-    with pytest.raises(ValueError, match="1 outputs and 1 entries of the reference"):
+    with pytest.raises(ValueError, match="1 output and 1 entry of the reference"):
         controller.step([0.1], [0.1, 0.0, 0.0])
 
 

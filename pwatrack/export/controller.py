@@ -139,7 +139,8 @@ class Controller:
         q, entries = self._programs[given].sizes["q"], len(self._programs[given].given)
         measured, wanted = (np.array(v if v is not None else [], dtype=self._real).reshape(-1) for v in (y, y_d))
         if len(measured) != q or (given and len(wanted) != entries):
-            raise ValueError(f"{amount(q, 'output')}{f' and {entries} entries of the reference' * given} are expected")
+            more = f" and {entries} entr{'y' if entries == 1 else 'ies'} of the reference" * given
+            raise ValueError(f"what is expected: {amount(q, 'output')}{more}")
         self.status = int(tick(self._routine, **self._kept, y=measured, given=wanted))
         return self.state("u")
 
