@@ -258,23 +258,17 @@ def drive_rows(loops: Loops, loop: Loop, inputs: Sequence[int]) -> BallMatrix:
     return above(*(loops.row(loop, (kind, k)) for k in inputs))
 
 
-def at_inputs(controller: ProvedController) -> tuple[int, ...]:
-    """Return the input that each load is added to, if all are constants at inputs."""
-    loads = controller.plant.loads
-    return () if loads is None else loads.inputs(controller.plant.exact.B) or ()
-
-
 def loads_at(controller: ProvedController, starts: Starts, inputs: Sequence[int]) -> tuple[float, ...]:
     """Return how large the loads at each of these inputs are together."""
     if starts.load is None or not starts.load.any():
         return (0.0,) * len(inputs)
-    acting, at = np.abs(starts.load).sum(axis=1), np.array(at_inputs(controller), dtype=int)
+    acting, at = np.abs(starts.load).sum(axis=1), np.array(controller.plant.load_inputs, dtype=int)
     return tuple(float(acting[at == k].sum()) for k in inputs)
 
 
 def taken_off(controller: ProvedController) -> bool:
     """Say whether estimates of loads, if any, do nothing but to be taken off the input that each load is added to."""
-    added, at = controller.compensation, at_inputs(controller)
+    added, at = controller.compensation, controller.plant.load_inputs
     if not at or any(added.X.centre.entries()) or added.X.radius is not None:
         return controller.plant.loads is None
     off = added.u_ff + np.eye(added.u_ff.shape[1])[:, list(at)]

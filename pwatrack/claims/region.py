@@ -19,7 +19,6 @@ from pwatrack.claims.exact_text import Held, decimal_texts, read_held
 from pwatrack.claims.limits import (
     NoSaturation,
     StartGuarantee,
-    at_inputs,
     drive_rows,
     loads_at,
     looked_at,
@@ -86,7 +85,7 @@ class RegionClaim(Claim):
         run = next((starts for starts in room.starts if starts.kind == "run"), None)
         bears = exact = loads is None or (run is not None and run.delta is None)
         if loads is not None and left is not None and run is not None and run.load is not None:
-            at, acting = np.array(at_inputs(controller)), -run.load.sum(axis=1)
+            at, acting = np.array(controller.plant.load_inputs), -run.load.sum(axis=1)
             each = ((float(acting[at == k].sum()), room.bearable[k]) for k in room.inputs)
             bears = len(at) > 0 and all(low <= load <= high for load, (low, high) in each)
         every = (one for one in self.found if one.starts.kind == "every")
@@ -163,7 +162,7 @@ def _with_loads(room: Headroom, words: Words, controller: ProvedController, one:
     if one.starts.delta is None:
         return " with x̂ = x, while no load acts"
     named = []
-    for k in sorted({*at_inputs(controller)} & {*one.inputs}):
+    for k in sorted({*controller.plant.load_inputs} & {*one.inputs}):
         name, (low, high) = words.plant.inputs[k], np.abs(room.bearable[k]).tolist()
         ends = f"{'−' * bool(low)}{down(low)} to {down(high)} {words.units.get(name, '')}".rstrip()
         named.append(f"{name} from {ends}")

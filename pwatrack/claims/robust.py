@@ -53,11 +53,9 @@ class Robust(Claim):
 
     @classmethod
     def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Robust"]:
-        if not asked.box:
+        if not asked.box or (told is not None and told["uncertain"] is None):
             return
         plant, output = controller.plant, controller.tracking == "output"
-        if told is not None and told["uncertain"] is None:
-            return
         corners = tuple(asked.corners(plant))
         if told is None:
             yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)

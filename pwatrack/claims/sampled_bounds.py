@@ -198,8 +198,8 @@ class TubeBounds(Claim):
         0 on. It is for the loop without limits; `rows` read them off z, less estimates of loads, so that loads that
         step, and are in no start, are added. Before the first input acts none is taken.
         """
-        loads, first = self.errors.plant.loads, self.errors.gains.delay * self.errors.gains.substeps
-        at = np.array((loads and loads.inputs(self.errors.plant.exact.B)) or (), dtype=np.int64)
+        first = self.errors.gains.delay * self.errors.gains.substeps
+        at = np.array(self.errors.plant.load_inputs, dtype=np.int64)
         most = self.off(rows) + [self.acts.loads[: len(at)][at == k].sum() for k in inputs]
         beside = [self.acts.beside.get(("input", k), np.zeros(1))[first:].max(initial=0.0) for k in inputs]
         return (most + beside) * OVER_SUMS, (2 * most + self.acts.changes[list(inputs)]) * OVER_SUMS

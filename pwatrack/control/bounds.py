@@ -135,7 +135,7 @@ class Loops:
             "controller": [A_i + B @ K for A_i in A],
             "observer": [seen.A[i] + L @ seen.C for i in plant.model.hull],
         }
-        self.at_inputs = () if plant.loads is None else plant.loads.inputs(exact.B) or ()
+        self.at_inputs = plant.load_inputs
         cells, watched = len(A), len(self.M["observer"])
         self.few_pairs = cells * watched * (n + N) ** 4 <= MOST_WORK
         self.few_cells = max(cells, watched) * N**4 <= MOST_WORK

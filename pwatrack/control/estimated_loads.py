@@ -108,7 +108,7 @@ class OnEstimates:
 def at_inputs(plant: PWASystem, form: NormalForm | None) -> bool:
     """Say whether all loads are constants added to inputs, one for each tracked output where outputs are tracked."""
     square = form is None or len(plant.tracked) == plant.B.shape[1]
-    return square and plant.loads is not None and plant.loads.inputs(plant.exact.B) is not None
+    return square and bool(plant.load_inputs)
 
 
 def refused(plant: PWASystem, form: NormalForm | None, jitter: float) -> str:

@@ -283,8 +283,8 @@ def cut_off(errors: SampledErrors) -> BallMatrix:
 
 def beside_loads(errors: SampledErrors, inputs: Sequence[int]) -> Array:
     """Return what is taken off ν for loads, where it is not in ν: see `sampled_error`."""
-    (n, m, *_), loads, rows = errors.widths, errors.plant.loads, np.zeros((len(inputs), errors.order))
-    for place, at in enumerate((loads and loads.inputs(errors.plant.exact.B)) or ()):
+    (n, m, *_), rows = errors.widths, np.zeros((len(inputs), errors.order))
+    for place, at in enumerate(errors.plant.load_inputs):
         rows[[j for j, k in enumerate(inputs) if k == at], n + m + n + place] = -1.0
     return rows
 

@@ -268,7 +268,7 @@ class SampledErrors:
         nu, sigma = K @ (e + seen.part(range(n), columns)), seen.part(range(n, N), columns)
         if self.estimates is None:
             if self.gains.delay and self.plant.loads is not None:
-                U = BallMatrix.of(np.eye(m)[:, list(self.plant.loads.inputs(self.plant.exact.B) or ())])
+                U = BallMatrix.of(np.eye(m)[:, list(self.plant.load_inputs)])
                 nu = nu - U @ sigma
             return [(nu, zero(0, len(columns)))]
         found, epsilon = list[tuple[BallMatrix, BallMatrix]](), above(sigma, delta)

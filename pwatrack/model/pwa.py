@@ -181,6 +181,11 @@ class PWASystem:
         shape = C.shape[0], loads.E.shape[1]
         return Observed(A=tuple(each(loads.observed, A)), C=sides(C, BallMatrix.of(np.zeros(shape), shape)))
 
+    @cached_property
+    def load_inputs(self) -> tuple[int, ...]:
+        """The input that each load is added to, if all are constants at inputs; else none."""
+        return () if self.loads is None else self.loads.inputs(self.exact.B) or ()
+
     @property
     def cell_names(self) -> tuple[str, ...]:
         """Names of the l cells."""

@@ -100,7 +100,7 @@ def _with_loads(along: Mapping[str, Array], errors: SampledErrors, loads: LoadsA
     """Return between what numbers are along x_d, with what estimates of the true loads are, and take off inputs."""
     found = {**along, "s_hat": loads.ends}
     if errors.estimates is None:
-        for k, at in enumerate((errors.plant.loads and errors.plant.loads.inputs(errors.plant.exact.B)) or ()):
+        for k, at in enumerate(errors.plant.load_inputs):
             for name in ("u", "u_ff"):
                 found[name] = found[name].copy()
                 found[name][at] -= loads.ends[k, ::-1]
