@@ -172,8 +172,9 @@ class _Panels(LayoutEngine):
         if not panels:
             return
         beside = [axes.yaxis.label for axes in panels if axes.get_ylabel()]
+        smallest = min((text.get_fontsize() for text in beside), default=_SIZE)
         for text in beside:
-            text.set_fontsize(min(other.get_fontsize() for other in beside))
+            text.set_fontsize(smallest)
         pad, (_, height) = _PAD * fig.dpi, fig.bbox.size
         self._title.set_y(1 - pad / height)
         below = height - self._title.get_window_extent().height - 2 * pad

@@ -214,9 +214,9 @@ def _map(axes: Axes, at: tuple[Array, Array], values: Array, **style: Any) -> Sc
     x, y = (np.unique(part) for part in at)
     if len(x) * len(y) == len(values):
         drawn = axes.pcolormesh(x, y, values.reshape(len(x), len(y)).T, shading="nearest", **style)
-        for show, at_ in ((axes.set_xlim, x), (axes.set_ylim, y)):
-            if len(at_) > 1:
-                show(at_[0], at_[-1])  # not beyond what was looked at
+        for show, ends in ((axes.set_xlim, x), (axes.set_ylim, y)):
+            if len(ends) > 1:
+                show(ends[0], ends[-1])  # not beyond what was looked at
         return drawn
     return axes.scatter(*at, c=values, s=20, **style)
 
