@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 EPS = float(np.finfo(np.float64).eps)  # relative distance from 1 to the next double; a rounding is half of it
 TINY = float(np.finfo(np.float64).tiny)  # the least double that keeps all digits
+CLOSE = 1e-9  # of what is usual of some numbers: what two processors may make of one formula
 OVER_SUMS = 1 + 1e-12  # more than the rounding of a sum of products
 OVER_POWERS = 1 + 1e-9  # more than the rounding of a few operations and exponentials
 
@@ -22,6 +23,26 @@ def readonly(values: Any) -> Array:
         raise ValueError("array has an entry that is not finite")
     array.flags.writeable = False
     return array
+
+
+def alike(one: Array, other: Array) -> bool:
+    """Say whether arrays (…, r, c) are what two processors make of one formula, in whatever units rows and columns are.
+
+    Entries differ by `CLOSE` of their size, or of what their row and column have at most, by rounding of their row.
+
+    Example:
+        >>> table = np.array([[1.0, 1e-13], [1e9, 1.0]])
+        >>> alike(table * (1 + 1e-12), table), alike(table + [[0, 1e-14], [0, 0]], table)
+        (True, False)
+    """
+    if one.shape != other.shape or not other.size:
+        return one.shape == other.shape
+    size = np.abs(np.atleast_2d(other))
+    most = size.reshape(-1, *size.shape[-2:]).max(axis=0)
+    rows = most.max(axis=1, keepdims=True)
+    columns = (most / np.where(rows, rows, 1.0)).max(axis=0, keepdims=True)
+    within = np.maximum(CLOSE * np.maximum(size, rows * columns), 16 * EPS * rows)
+    return bool((np.abs(np.atleast_2d(one) - np.atleast_2d(other)) <= within).all())
 
 
 def symmetric_part(X: Array) -> Array:
@@ -74,6 +95,19 @@ def amount(count: int, what: str) -> str:
 def up(value: float) -> str:
     """Return a number in three digits, not smaller."""
     return number_text(rounded_up(value, 3), ".3g")
+
+
+def outward(value: float, side: int, known: float = 0.0) -> str:
+    """Return the end of an interval in four digits: not inside of it, but for what of itself it is known to.
+
+    Example:
+        >>> outward(1.118034, 1), outward(-1.118034, -1), outward(1 + 1e-9, 1, known=1e-6)
+        ('1.119', '-1.119', '1')
+    """
+    nearest = number_text(value, ".4g")
+    if side * (value - float(nearest)) <= known * abs(value):
+        return nearest
+    return number_text(side * rounded_up(side * value, 4), ".4g")
 
 
 def rounded_up(value: float, digits: int) -> float:

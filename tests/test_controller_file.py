@@ -255,7 +255,7 @@ def test_a_stored_controller_is_simulated_and_is_no_other(tmp_path: Path) -> Non
     assert (tmp_path / "two" / "trace.csv").read_bytes() == (tmp_path / "one" / "trace.csv").read_bytes()
     slower = cart(tmp_path, "controller: {sample_time: 0.02}", duration=2)
     error = refused(call("simulate", slower, "--out", tmp_path / "two", "--controller", stored), 2)
-    assert "program.sample_time is 0.01 in the file and 0.02 in the spec" in error
+    assert "not one for this spec: program.sample_time is 0.01, not 0.02" in error
     unsampled = cart(tmp_path, duration=2)
     call("simulate", unsampled, "--out", tmp_path / "three", "--controller", stored)
     traces = [(tmp_path / name / "trace.csv").read_bytes() for name in ("one", "three")]

@@ -333,6 +333,8 @@ def test_the_command_exports_a_run_and_refuses_what_is_not_proved(tmp_path: Path
     again = call("export", "c", out, "--out", tmp_path / "again", "--name", "loop")
     assert again.exit_code == 0, again.output
     assert (tmp_path / "again" / "loop.c").read_bytes() == (out / "loop.c").read_bytes()
+    assert "NOT CHECKED: its spec was not at hand" in (tmp_path / "again" / "loop.h").read_text(encoding="utf-8")
+    assert "NOT CHECKED" not in (out / "loop.h").read_text(encoding="utf-8")
     (out / CERTIFICATE).unlink()
     error = refused(call("export", "c", out, "--out", tmp_path / "no", "--name", "loop"), 6)
     assert f"not proved: there is no {CERTIFICATE} beside it" in error

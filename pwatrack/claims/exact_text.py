@@ -28,7 +28,6 @@ from pwatrack.real import Real
 
 _ROLES = {role.name: role for role in (PLANT, CONTROLLER, OBSERVER, GENERATOR)}
 Held = StartEllipsoid | Region | ClockedRegion | PolynomialRegion  # what errors from some starts do not leave
-CLOSE = 1e-9  # of the largest of some numbers: what two processors may make of one formula
 
 
 def decimal(value: float) -> str:

@@ -106,7 +106,7 @@ class KeptLimits(Claim):
         lasts = signals.room.ever and not any(kind == "disturbance" for kind, _ in signals.acting)  # else more may act
         kept = f"these limits are kept {'for good' if lasts else 'in this run'}"
         kept += " along the reference of the file" * (words.conditions.pace is not None)
-        acting = f"{self._acting}{',' * bool(signals.acting)}"
+        acting = self._acting(words)
         for promise in self.promises if left is not None else ():
             assert left is not None
             starts = promise.said(left, loads=controller.plant.loads is not None)
@@ -115,18 +115,20 @@ class KeptLimits(Claim):
         if left is None or not self.promises:
             yield f"from which starts {kept} is not proved{': ' * bool(self.missing)}{self.missing}"
 
-    @property
-    def _acting(self) -> str:
-        kinds = {kind for kind, _ in self.signals.acting}
+    def _acting(self, words: Words) -> str:
+        """Say under what they are kept."""
+        kinds, off = {kind for kind, _ in self.signals.acting}, words.off_limits
         noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
-        return f", with what acts in this file{noise}" if kinds else " while nothing disturbs"
+        if kinds:
+            return f", with what acts in this file{noise}{off},"
+        return f" while nothing disturbs{off.replace(', while', ' and')}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether they are kept from the start of the run, where that is proved of the loop that runs."""
         names = ", ".join(self.signals.names)
         for promise in self.promises:
             if promise.of_this_run(self.left):
-                yield "ideal loop", f"limits of {names} kept from this start{self._acting}"
+                yield "ideal loop", f"limits of {names} kept from this start{self._acting(words).removesuffix(',')}"
 
 
 def _between(low: float, high: float) -> str:

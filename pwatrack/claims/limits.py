@@ -10,10 +10,10 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array, alike, number_text
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import loops_of
-from pwatrack.claims.exact_text import CLOSE, Held, decimal, decimal_texts, doubles, held_content, read_held, signals
+from pwatrack.claims.exact_text import Held, decimal, decimal_texts, doubles, held_content, read_held, signals
 from pwatrack.control.bounds import Form, Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Peak, Starts
@@ -186,7 +186,7 @@ class NoSaturation(Claim):
             starts += self.room.whatever_said(promise.starts)
             several = len(promise.inputs) > 1 and np.isfinite(promise.scale(left))
             binds = f"; {words.plant.inputs[promise.binds(left)]} binds" if several else ""
-            yield f"in the loop as designed {never} from {starts}{binds}"
+            yield f"in the loop as designed {never}{words.undisturbed} from {starts}{binds}"
         if not self.promises:
             yield f"from which starts {never} could not be proved"
 
@@ -286,7 +286,7 @@ def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     G, n = _rows(starts), len(starts.e)
     told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
     G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
-    if told.shape != G.shape or not np.allclose(told, G, rtol=CLOSE, atol=CLOSE * np.abs(G).max(initial=0.0)):
+    if not alike(told.T, G.T):
         return starts
     if starts.z is not None:
         return replace(starts, z=told)

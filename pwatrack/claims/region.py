@@ -77,7 +77,7 @@ class RegionClaim(Claim):
     @property
     def goes(self) -> str:
         """What errors do from these starts, in words."""
-        return "errors go to 0" if self.room.ever else "errors shrink throughout this run"
+        return "errors go to 0" if self.room.ever else "a measure of the errors falls throughout this run"
 
     def from_this_start(self, controller: ProvedController) -> bool:
         """Whether it is proved of the start of the run, with the loads that act in it."""
@@ -138,7 +138,7 @@ class LimitedRegion(RegionClaim):
 
     def said(self, starts: str, one: StartGuarantee, words: Words) -> str:
         starts += self.room.whatever_said(one.starts)
-        return f"in the loop as designed {self.goes} from {starts}, with inputs at their limits too"
+        return f"in the loop as designed {self.goes}{words.undisturbed} from {starts}, with inputs at their limits too"
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         yield from super().rows(words, controller)

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array
+from pwatrack.arrays import Array, alike
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.claims.exact_text import CLOSE, doubles
+from pwatrack.claims.exact_text import doubles
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import Asked, ProvedController
 from pwatrack.control.sampled_disturbances import ROUNDING, Acting, begun
@@ -69,10 +69,7 @@ def of_this_start(told: Mapping[Channel, Any], errors: SampledErrors) -> tuple[b
     starts = errors.starts or ()
     found = [doubles([told[channel]])[0] for channel in sorted(told)]
     own = [column.floats[:, 0] for column in starts]
-    same = len(own) == len(found) and all(
-        a.shape == b.shape and np.allclose(a, b, rtol=CLOSE, atol=CLOSE * np.abs(b).max())
-        for a, b in zip(found, own, strict=True)
-    )
+    same = len(own) == len(found) and all(map(alike, found, own))
     if not (same and found):
         return same, errors
     return True, replace(errors, starts=[BallMatrix.of(z[:, None], (len(z), 1)) for z in found])

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import number_text
+from pwatrack.arrays import outward
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
 from pwatrack.control.demand import Demand
 from pwatrack.control.headroom import Headroom
@@ -66,7 +65,7 @@ class SetPoints(Claim):
         loads = ", without estimates of loads" * (controller.plant.loads is not None)
         for k, (low, high) in enumerate(self.takes):
             name, unit = words.plant.inputs[k], words.units.get(words.plant.inputs[k], "")
-            ends = f"{_outward(low, -1)} to {_outward(high, 1)} {unit}".rstrip()
+            ends = f"{outward(low, -1)} to {outward(high, 1)} {unit}".rstrip()
             yield label, f"any y_d within its limits takes {name} from {ends}{loads}{self._leaves(k, unit, beyond)}"
             label = ""
 
@@ -85,9 +84,3 @@ class SetPoints(Claim):
             return ""  # another input may be beyond its limits
         much = f"{down(float(left[k]))} {unit}".rstrip() if left[k] else "nothing"
         return f": beside it and the reference of the file {much} is left"
-
-
-def _outward(value: float, side: int) -> str:
-    """Return a number in four digits that is not above (side −1) or not below it."""
-    rounding = ROUND_CEILING if side > 0 else ROUND_FLOOR
-    return number_text(float(Context(prec=4, rounding=rounding).create_decimal(repr(value))), ".4g")

@@ -50,7 +50,9 @@ class Subject:
 
     def source(self, name: str, *, given: bool, single: bool = False) -> Source:
         """Return what its code is written from."""
-        return Source(file=self.file, name=name, single=single, given=given, unproved=self.unproved)
+        return Source(
+            file=self.file, name=name, single=single, given=given, unproved=self.unproved, checked=self.spec is not None
+        )
 
     def rounded(self, code: Source, kind: Literal["float32", "int32"]) -> Source:
         """Return code in numbers of a kind, with what their rounding makes of the bounds of its run.

@@ -9,17 +9,19 @@ from typing import Any, cast
 
 import numpy as np
 
+from pwatrack.arrays import CLOSE
 from pwatrack.claims.bounds import BOUNDS
 from pwatrack.claims.cost import read_costs
 from pwatrack.claims.decay import read_proofs
-from pwatrack.claims.exact_text import CLOSE, decimal_texts, doubles
+from pwatrack.claims.exact_text import decimal_texts, doubles
 from pwatrack.claims.practical import merged_ways
 from pwatrack.claims.registry import STATEMENT, proved
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.synthesis import Gains
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
-from pwatrack.export.stored import LARGEST, digest
+from pwatrack.export.schema import Sampled
+from pwatrack.export.stored import LARGEST, differing, digest
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed
@@ -77,7 +79,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
         named, other = (spec, "") if spec else spec_of(_json(folder / INDEX) or {}, folder, content["spec_sha256"])
         try:
             if named is None:
-                said.append("not compared with a spec: none is at hand; name it with --spec")
+                said.append(f"not compared with a spec: none is at hand; name it with --spec{_unseen(file)}")
                 if file.name != REFUSAL:
                     _compare("gains.json", folder, _told_gains(content), said, faults, exactly=True)
             else:
@@ -193,6 +195,10 @@ def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[s
 
 def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: list[str], faults: list[str]) -> None:
     """Make a certificate and the files beside it again, and add what was compared and what differs."""
+    known, conditions = _json(folder / CONTROLLER), spec.scenario.conditions
+    if conditions.sampling is None and known is not None and known.get("program") is not None:  # that of an export
+        conditions = replace(conditions, sampling=Sampled.model_validate(known["program"]).sampling)
+        spec = replace(spec, scenario=replace(spec.scenario, conditions=conditions))
     try:
         controller = told_design(spec, content)
     except PwatrackError as refusal:
@@ -204,10 +210,12 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
     _compare("gains.json", folder, _told_gains(content), said, faults, exactly=True)
     _compare(BOUNDS, folder, bound_content(spec, controller), said, faults)
     _compare("generator.json", folder, made.generator, said, faults)
-    if made.controller is not None and (told := _json(folder / CONTROLLER)) is not None:
-        again = made.controller | {"sha256": digest(told), "failed": told.get("failed")}
-        other = spec.scenario.conditions.sampling is None and told.get("program") is not None  # that of another file
-        _compare(CONTROLLER, folder, again, said, faults, ["program"] * other)
+    if made.controller is not None and known is not None:
+        run = _json(folder / INDEX)
+        if run is not None and bool(run.get("exit")) != bool(known.get("failed")):
+            faults.append(f"{INDEX} ends with exit {run.get('exit')}, which is not what 'failed' in {CONTROLLER} says")
+        again = made.controller | {"sha256": digest(known), "failed": known.get("failed")}
+        _compare(CONTROLLER, folder, again, said, faults, ["failed"] * (run is None))
     _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
 
 
@@ -236,6 +244,12 @@ def _compare(
     said.append(f"{name} beside it tells the same{', but for what it alone tells: ' * bool(left)}{', '.join(left)}")
 
 
+def _unseen(file: Path) -> str:
+    """Say which files beside a certificate are made again from a spec alone."""
+    names = [name for name in (CONTROLLER, BOUNDS, "generator.json", INDEX) if (file.parent / name).is_file()]
+    return f"; {', '.join(names)} beside it {'are' if len(names) > 1 else 'is'} not looked at" * bool(names)
+
+
 def _without(tree: dict[str, Any], keys: Collection[str]) -> dict[str, Any]:
     return {key: value for key, value in tree.items() if key not in keys}
 
@@ -247,27 +261,8 @@ def _different(told: dict[str, Any], made: dict[str, Any], *, exactly: bool) -> 
         for key in dict.fromkeys((*made, *told))
         if key not in told
         or key not in made
-        or not (told[key] == made[key] if exactly else _same(told[key], made[key]))
+        or not (told[key] == made[key] if exactly else not any(differing(told[key], made[key], key)))
     ]
-
-
-def _same(told: Any, made: Any, scale: float | None = None) -> bool:
-    """Say whether two trees are one, doubles but for `CLOSE` of their size, or that of the largest beside them."""
-    if isinstance(made, dict) and isinstance(told, dict):
-        return made.keys() == told.keys() and all(_same(told[key], value) for key, value in made.items())
-    if isinstance(made, list) and isinstance(told, list):
-        scale = _largest(made) if scale is None else scale
-        return len(made) == len(told) and all(_same(*both, scale) for both in zip(told, made, strict=True))
-    if isinstance(made, float) and isinstance(told, float):
-        return told == made or abs(told - made) <= CLOSE * max(abs(made), scale or 0.0)
-    return type(told) is type(made) and bool(told == made)
-
-
-def _largest(values: Any) -> float:
-    """Return the size of the largest double in nested lists."""
-    if isinstance(values, list):
-        return max(map(_largest, values), default=0.0)
-    return abs(values) if isinstance(values, float) else 0.0
 
 
 def _json(path: Path) -> Any:

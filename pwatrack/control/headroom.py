@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
+from pwatrack.arrays import Array, outward
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.control.bounds import Channel, Form
 from pwatrack.control.demand import Demand
@@ -25,6 +25,7 @@ from pwatrack.model.sizes import Sizes
 _LITTLE = 1e-3  # of a size: what any error may be at least
 OFF = 1e-6  # of the feedforward: its peak is known to that, see `simulation.desired`
 _ROUNDING = 1e-12  # of the larger end: what is less is 0 where it is said
+_KNOWN = 1e-6  # of an end: more than what it is enclosed to
 _NO_ROOM = 1e-9  # of a limit: a feedforward that comes so near to one is there, but for rounding
 
 
@@ -41,7 +42,7 @@ class Peak:
         low, high = float(self.low[k]), float(self.high[k])
         rounding = _ROUNDING * max(abs(low), abs(high))
         low, high = (v if abs(v) > rounding else 0.0 for v in (low, high))
-        return f"{number_text(low, '.4g')} to {number_text(high, '.4g')} {unit}".rstrip()
+        return f"{outward(low, -1, _KNOWN)} to {outward(high, 1, _KNOWN)} {unit}".rstrip()
 
     def left(self, limits: Array) -> Array:
         """Return how far each input may be from its feedforward, (m,): the smaller side of its limits (m, 2).

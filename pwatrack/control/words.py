@@ -82,6 +82,11 @@ class Words:
         return ", with the plant as designed" * self.conditions.another_plant
 
     @property
+    def undisturbed(self) -> str:
+        """What is added to what is proved of a loop that nothing disturbs, where something does in a run."""
+        return " while nothing disturbs" * (not self.conditions.beside(self.plant.loads).undisturbed)
+
+    @property
     def off_limits(self) -> str:
         """What is added to what is proved of a loop without limits, where inputs, or their rates, have some."""
         limited, slowed = self.conditions.limits is not None, self.conditions.rates is not None

@@ -23,6 +23,10 @@ from pwatrack.simulation.controller_arrays import memory, routine
 if TYPE_CHECKING:
     from pwatrack.simulation.kernel import ControllerArrays
 
+_UNCHECKED = (
+    "NOT CHECKED: its spec was not at hand, so what follows is what controller.json says, of a program that may be "
+    "another than the one that is proved."
+)
 _LAST_TICK = 2**31 - 2  # that 31 bits count, with one to spare: Structured Text has a sign
 _PREFIX = 20  # letters at most: C99 tells 31 letters of a name apart
 _FILES = "main vector model instance fmi2 fmi3"  # that an export has besides
@@ -52,6 +56,7 @@ class Source:
     single: bool  # whether in single floats
     given: bool  # whether the reference comes from outside
     unproved: tuple[str, ...]  # what is not proved of it, in sentences
+    checked: bool = True  # whether it was made from its spec again: else its file alone says what is proved
     whole: FixedPoint | None = None  # what it is in whole numbers; None for floats
     rounding: str = ""  # what their rounding makes of its bounds, in a sentence
 
@@ -95,7 +100,7 @@ class Source:
         """What is proved of its error, in sentences; last of the loop that is sampled."""
         assert self.file.program is not None
         said = [f"Of the loop that the theorems are about {claim}." for claim in self.file.claims]
-        found = [*said, f"The loop that is sampled: {self.file.program.proved}."]
+        found = [*[_UNCHECKED] * (not self.checked), *said, f"The loop that is sampled: {self.file.program.proved}."]
         return [*found, self.rounding] if self.rounding else found
 
     def about(self, sizes: Sequence[str] = (), reference: str = "made inside") -> list[str]:

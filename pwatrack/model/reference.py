@@ -202,7 +202,7 @@ def exosystem(signals: Sequence[Signal]) -> Exosystem:
         rows.append(row)
         starts.append(states[0])
         t = np.array([t for t in signal.starts[1:] if signal.end is None or t < signal.end])
-        if len(t):
+        if len(t) and len(row):
             resets.append(StateResets(t=t, where=where, values=readonly(states[1 : len(t) + 1])))
         offset += len(row)
     ends = [signal.end for signal in signals if signal.end is not None]

@@ -84,7 +84,7 @@ def _along_text(result: SimulatedLoop, robust: Robust) -> str:
     which = "this run is not one of them"
     if inside(box, conditions.parameters or {}):
         which = "the plant of this run is one of them, its loop is not the ideal one"
-    return f"{which}; {while_small}: {', '.join(texts)}"
+    return f"{which}; of the ideal loop, {while_small}: {', '.join(texts)}"
 
 
 def how_far_texts(found: HowFar) -> list[str]:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text
-from pwatrack.claims.exact_text import CLOSE
+from pwatrack.arrays import CLOSE, Array, number_text
 from pwatrack.control.bounds import state_rows
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.demand import Demand, Kept, told
