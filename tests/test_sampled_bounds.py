@@ -113,7 +113,7 @@ def test_noise_at_ticks_leaves_the_sum_of_what_each_tick_leaves(g: float) -> Non
     system = Clocked(F=[BallMatrix.of([[-1]])], J=[BallMatrix.of([[g]])], period=Fraction("0.1"))
     program = TubeProgram(system=system, near=np.eye(1), knots=4)
     worst = 1 / (1 - abs(g) * np.exp(-h))
-    decays = np.geomspace(0.1, 1.9 * program.most, 25)
+    decays = np.geomspace(0.1, 1.9 * program.clock.most, 25)
     drive = Drive(held=nothing, between=nothing, ticks=[one])
     found = [tube(program, drive, one, np.ones(1), float(f"{decay:.3g}")) for decay in decays]
     least = min(each.sizes[0] for each in found if each is not None)

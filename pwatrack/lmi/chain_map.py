@@ -49,6 +49,17 @@ class Bound:
         return Bound(terms, np.pad(self.T, around), C, self.places, S)
 
 
+def square(X: Array, sign: float = 1.0) -> Term:
+    """Return the term Xᵀ P X, with a sign."""
+    return sign / 2 * X.T, X
+
+
+def shrinks(before: int, after: int, J: Array, more: Array, on: Array | None = None) -> Bound:
+    """Return Xᵀ (Jᵀ P_after J − P_before + t more) X ⪯ 0, with X what is looked at, all if that is not said."""
+    X = np.eye(len(J)) if on is None else on
+    return Bound({before: square(X, -1.0), after: square(J @ X)}, X.T @ more @ X)
+
+
 class ChainMap(LinearMap):
     """A `LinearMap` of which a vector holds the lower triangles of P_0, P_1, …, the τ, then t.
 
