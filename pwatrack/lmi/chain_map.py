@@ -57,7 +57,8 @@ def square(X: Array, sign: float = 1.0) -> Term:
 def shrinks(before: int, after: int, J: Array, more: Array, on: Array | None = None) -> Bound:
     """Return Xᵀ (Jᵀ P_after J − P_before + t more) X ⪯ 0, with X what is looked at, all if that is not said."""
     X = np.eye(len(J)) if on is None else on
-    return Bound({before: square(X, -1.0), after: square(J @ X)}, X.T @ more @ X)
+    left = X.T @ J.T
+    return Bound({before: square(X, -1.0), after: (left / 2, left.T)}, X.T @ more @ X)
 
 
 class ChainMap(LinearMap):
