@@ -25,7 +25,6 @@ from pwatrack.lmi.inequality import Inequality, Solver, lyapunov, quadratic_cost
 from pwatrack.lmi.infeasibility import refute
 from pwatrack.lmi.linear_map import DenseMap, LinearMap
 from pwatrack.lmi.multipliers import refutes
-from pwatrack.lmi.picos_model import ClarabelSolver
 from pwatrack.lmi.presolve import Coordinates, corners, distinct
 from pwatrack.lmi.program import (
     SemidefiniteProgram,
@@ -34,7 +33,6 @@ from pwatrack.lmi.program import (
     least_condition,
     least_cost,
     least_sizes,
-    least_trace,
     least_violation,
     of_P,
     smaller_gain,
@@ -91,23 +89,23 @@ def test_clarabel_and_cvxopt_find_the_same_optimum(seed: int, n: int) -> None:
     """Minimise tr(C X) over X ⪰ 0 with tr X = 1 (an equality) and X_11 ≥ 0.1 (an inequality)."""
     C = symmetric_part(np.random.default_rng(seed).normal(size=(n, n)))
 
-    def optimum(**choice: object) -> float:
+    def optimum(solver: Solver) -> float:
         X = picos.SymmetricVariable("X", n)
         problem = picos.Problem()
         problem.add_list_of_constraints([X >> 0, picos.trace(X) == 1, X[0, 0] >= 0.1])
         problem.set_objective("min", picos.trace(C * X))
-        problem.solve(**choice)
+        assert picos_model.run(problem, solver)
         return float(problem.value)
 
-    assert optimum(ad_hoc_solver=ClarabelSolver) == pytest.approx(optimum(solver="cvxopt"), abs=1e-6)
+    assert optimum("clarabel") == pytest.approx(optimum("cvxopt"), abs=1e-6)
 
 
-def test_the_clarabel_plugin_maximises_too() -> None:
+def test_clarabel_maximises_too() -> None:
     t = picos.RealVariable("t")
     problem = picos.Problem()
     problem.add_constraint((t & 1) // (1 & t) << 3 * np.eye(2))
     problem.set_objective("max", t)
-    problem.solve(ad_hoc_solver=ClarabelSolver)
+    assert picos_model.run(problem, "clarabel")
     assert float(t.value) == pytest.approx(2.0, abs=1e-6)
     assert float(problem.value) == pytest.approx(2.0, abs=1e-6)
 
@@ -117,7 +115,7 @@ BUILDERS: dict[str, Callable[[Array, Array], SemidefiniteProgram]] = {
     "largest_margin, bounded": lambda A, B: largest_margin(state_feedback(A, B), 5.0),
     "least_violation": lambda A, B: least_violation([state_feedback(A, B)]),
     "least_condition": lambda A, _: least_condition(lyapunov(A), np.diag(np.arange(1.0, A.shape[1] + 1))),
-    "least_trace": lambda A, _: least_trace(weighted(A, np.eye(A.shape[1]))),
+    "least_sizes, above": lambda A, _: least_sizes(weighted(A, np.eye(A.shape[1])), *2 * [np.eye(A.shape[1])]),
     "least_sizes": lambda A, _: least_sizes(weighted(A, np.eye(A.shape[1])), np.diag(np.arange(1.0, A.shape[1] + 1))),
     "least_cost": lambda A, B: least_cost(quadratic_cost(A, B, np.eye(len(B)), np.eye(B.shape[1])), np.eye(len(B))),
     "smallest_gain": lambda A, B: smallest_gain(state_feedback(A, B), np.eye(len(B)), np.eye(B.shape[1])),
@@ -148,7 +146,7 @@ def test_the_primal_dual_method_and_clarabel_find_the_same_optimum(
     build: str, seed: int, n: int, m: int, cells: int
 ) -> None:
     A, B = feasible(seed, n, m, cells, 1e-2)
-    if build in {"least_condition", "least_trace", "least_sizes", "smaller_gain", "least_violation"}:
+    if build in {"least_condition", "least_sizes", "least_sizes, above", "smaller_gain", "least_violation"}:
         A = np.random.default_rng(seed).normal(size=A.shape) / (4 * n) - np.eye(n)
     program = BUILDERS[build](A, B if build != "least_violation" else B[:, :0])
     first, second = ours(program), picos_model.solve(program)
@@ -235,7 +233,7 @@ def test_what_contradicts_itself_has_no_solution_in_any_solver(seed: int, n: int
     """M P + P Mᵀ + I ⪯ 0 with an M that has an eigenvalue 1; what says so are multipliers with A*(Z) = 0."""
     M = np.random.default_rng(seed).normal(size=(cells, n, n)) - 3 * np.eye(n)
     M[0] += (1 - np.linalg.eigvals(M[0]).real.max()) * np.eye(n)
-    program = least_trace(weighted(M, np.eye(n)))
+    program = least_sizes(weighted(M, np.eye(n)), np.eye(n), above=np.zeros((n, n)))
     found = primal_dual.solve(program)
     assume(found is not None)  # it may give up, seldom: then another one is asked
     assert found is not None

@@ -114,7 +114,7 @@ class LinearMap:
         elif program.price:
             self.cost[self.main - 1] = program.price
         else:
-            self.cost[: self.P.size] = self.P.row(np.eye(self.n) if program.cost is None else program.cost)
+            self.cost[: self.P.size] = self.P.row(program.slope)
         self.blocks = Blocks([(len(c), c.shape[1]) for c in constants], padded=padded)
         self.constant = self.blocks.of(constants, beside=-1.0 if padded else 0.0)
         self.rows = np.zeros((len(program.equalities), self.size))
