@@ -38,7 +38,7 @@ _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay 
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
 _DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
 _LEAST_WEIGHT = 1e-4  # of a direction
-_SCALE_NEAR = 1e-5  # what the square of the scale of one around a box may be off
+_SCALE_NEAR = 1e-6  # what the square of the scale of one around a box may be off
 _ROOM = (1e-9, 1e-7, 1e-5, 1e-3)  # by which Q is enlarged, until it is proved
 _BOX_SHARES = (0.0, 1e-3, 0.1)  # of the Q to start from that are mixed in there, until it is proved
 
