@@ -10,6 +10,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from pwatrack.arrays import EPS, Array, root_of
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
+from pwatrack.lmi.exact import short
 from pwatrack.lmi.inequality import quadratic_cost, state_feedback
 from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.presolve import Coordinates, extreme
@@ -17,7 +18,6 @@ from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_g
 from pwatrack.lmi.saturated import LimitedGain
 from pwatrack.lmi.solve import solve
 
-DIGITS = 9  # of a gain
 FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
 _HARDLY_FASTER = 5e-4  # the same where that much is out of reach
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the states against the inputs, in costs whose gains are tried
@@ -183,16 +183,6 @@ class Candidates:
 
     def _regulated(self, shift: Array) -> Coordinates:
         return self.at.of_regulator(self.at.system(self.A) + shift, self.at.input(self.task.B))
-
-
-def short(K: Array, digits: int = DIGITS) -> Array:
-    """Return the gain with so many significant digits, none of them −0: what is printed is what is proved and used.
-
-    Example:
-        >>> short(np.array([[-1 / 3, -0.0]])).tolist()
-        [[-0.333333333, 0.0]]
-    """
-    return np.array([[float(f"{v:.{digits - 1}e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
 
 
 def _state_weights(A: Array, B: Array) -> Iterator[Array]:

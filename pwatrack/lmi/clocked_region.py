@@ -32,10 +32,9 @@ from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.chain_map import Bound, shrinks, square
 from pwatrack.lmi.clocked import Clocked, clocked_proof, in_short_numbers, looked_for, proves, short_diagonals
 from pwatrack.lmi.ellipsoid import reach_of, short_weights
-from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.exact import Packed, short
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import square_above
-from pwatrack.lmi.saturated import short
 from pwatrack.rational import diagonal, floats, is_positive_definite
 
 _DECAYS = (0.02, 0.1)  # of the rate without limits: what V falls with at least, until that is enough to be proved

@@ -27,6 +27,7 @@ from scipy.linalg import solve_triangular
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Inner, StartEllipsoid, around_starts, enclosure
+from pwatrack.lmi.exact import short
 from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.program import largest_margin
 from pwatrack.lmi.solve import Unknowns, minimised, solve
@@ -35,7 +36,6 @@ MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
 _DECAYS = (1e-3, 1e-5)  # of the speed of the loop: what V falls with at least, so that there is a margin
 _DECAY = 1e-3  # of the speed of the plant, of a gain that is sought: what V falls with at a limit, at least
 _LEAST, _LARGEST = 1e-4, 1e6  # Q, where starts have size 1
-_DIGITS = 9  # of H
 _ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
 
 
@@ -292,8 +292,3 @@ def _inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
 def _bounded(Q: Array, row: Array, most: Array) -> Array:
     """Return what says that row Q⁻¹ rowᵀ ≤ most."""
     return np.block([[most[:, None, None], row], [row.transpose(0, 2, 1), Q]])
-
-
-def short(H: Array) -> Array:
-    """Return short decimals."""
-    return np.array([[float(f"{v:.{_DIGITS - 1}e}") + 0.0 for v in row] for row in H]).reshape(H.shape)
