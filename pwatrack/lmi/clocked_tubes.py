@@ -340,18 +340,17 @@ def contains(
     if parts is None:
         return False
     ends, holding = list[Rational](), (ticks or driven.held_by(system)) if summed else []
-    for j, (J, before, after) in enumerate(jumps(backward, parts)):
+    for j, (J, before, after) in enumerate(jumps(backward, parts)):  # of the tube, whose time is the other way
         left, grown = after.P, number(1 / (1 - share * (j < len(system.J))))
         if ticks is not None and not summed and j < len(ticks):
             left = left - form_above(ticks[j], identity(ticks[j].shape[1]) * number(1 / share), after.scale)
         ends.append(shrunk(J, (before.P * grown, before.scale), (left, after.scale)))
     inside = Q[:1] if ticks else Q
-    ends += [Q_k.P - form_above(g, identity(g.shape[1]), Q_k.scale) for g in holding for Q_k in inside]
-    if not all(map(is_positive_definite, ends)):
+    rest = (Q_k.P - form_above(g, identity(g.shape[1]), Q_k.scale) for g in holding for Q_k in inside)
+    if not (all(map(is_positive_definite, ends)) and all(map(is_positive_definite, rest))):
         return False
-    pushes = (
-        [] if summed or not a else [(F @ driven.held + driven.between, V, V @ driven.held) for F, _, V in system.boxes]
-    )
+    boxes = () if summed or not a else system.boxes
+    pushes = [(F @ driven.held + driven.between, V, V @ driven.held) for F, _, V in boxes]
     for slack, Q_e, T_e, i in slacks(backward, parts, a):
         pushed = _pushed(*pushes[i], Q_e, T_e, a) if pushes else slack * 0
         if pushed is None or not is_positive_definite(slack - pushed):
