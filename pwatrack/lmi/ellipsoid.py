@@ -291,14 +291,14 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
 def _inverse_around(M: Array, G: Array, rows: Array) -> tuple[Array, Array] | None:
     """Return P and weights w, Gᵀ P G ⪯ diag(w), Σ w ≤ 1, with the least of the largest c P⁻¹ cᵀ, in floating point.
 
-    All numbers are about 1: maximise t subject to M_pᵀ P + P M_p ⪯ 0 for all cells, P ⪰ t cᵀ c, P ⪯ 1e6 I.
+    All numbers are about 1: maximise t subject to M_pᵀ P + P M_p ⪯ 0 for all cells, P ⪰ t cᵀ c, 1e-6 I ⪯ P ⪯ 1e6 I.
     """
     eye, k = np.eye(M.shape[1]), G.shape[1]
     nothing, unit = np.zeros_like(eye), np.eye(k)
     rows = rows[rows.any(axis=1)] / float(np.linalg.norm(rows, axis=1).max())
     bounds = [Bound({0: (M_p.T, eye)}, nothing) for M_p in M]
     bounds += [Bound({0: square(eye, -1.0)}, np.outer(row, row)) for row in rows]
-    bounds.append(Bound({0: square(1e-3 * eye)}, nothing, -eye))
+    bounds += [Bound({0: square(1e-3 * eye)}, nothing, -eye), Bound({0: square(eye, -1.0)}, nothing, 1e-6 * eye)]
     bounds.append(Bound({0: square(G)}, 0 * unit, None, range(k), -unit[:, :, None] * unit[:, None]))
     bounds.append(Bound({}, np.zeros((1, 1)), -np.eye(1), range(k), np.ones((k, 1, 1))))
     chain = ChainMap(bounds, 1, None, k)
