@@ -145,8 +145,7 @@ class LinearMap:
         Y, places = v[:, self.P.size : self.main - 1].reshape(len(v), 1, self.m, self.n), self.blocks.parts(x)
         for side, out in zip(self.sides, places, strict=False):
             if side.L is not None:
-                rows = side.L.reshape(-1, self.n) @ P
-                out += symmetric_part(_times(rows.reshape(len(v), *side.L.shape), side.R))
+                out += symmetric_part(self._half(side.L, P, side.R))
             if side.M is not None:
                 out += symmetric_part(_times(side.M @ Y, side.N))
             if side.T is not None:
@@ -155,6 +154,10 @@ class LinearMap:
             places[-1][:, 0, : self.W.n, : self.W.n] = -self.W.matrix(v[:, self.main :])
             places[-1][:, 0, self.W.n :, self.W.n :] = -P
         return x
+
+    def _half(self, L: Array, P: Array, R: Array | None) -> Array:
+        """Return L_i P R_i of several P, (u, l, N, N)."""
+        return _times((L.reshape(-1, self.n) @ P).reshape(len(P), *L.shape), R)
 
     def adjoint(self, z: Array) -> Array:
         """Return A*(Z): its product with v is Σ tr Z_i A_i(v)."""
@@ -318,6 +321,10 @@ class DenseMap(LinearMap):
     def __init__(self, program: SemidefiniteProgram) -> None:
         super().__init__(program, padded=True)
         self.images = self.apply_all(np.eye(self.size))
+
+    def _half(self, L: Array, P: Array, R: Array | None) -> Array:
+        rows = L @ P[:, None]
+        return rows if R is None else np.einsum("ulij,ljk->ulik", rows, R)
 
     def apply(self, v: Array) -> Array:
         return np.asarray(v @ self.images)
