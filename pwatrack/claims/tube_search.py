@@ -24,6 +24,7 @@ _RARE = 0.01  # of the largest square: what counts of a channel that acts seldom
 _LEAST = 1e-4  # of d²: the share of a channel that does little
 _BESIDE = 0.01  # of the weight of what is tracked, in sizes: that of inputs and of other signals
 _SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.1)  # of the rate that vertices have by themselves: what tubes decay with
+_BEYOND = 4.0  # times what forms that are proved fall with, as squares: no tube was found that decays faster
 _MIDDLE = 0.5  # of that rate, where one has to do for shares of many
 _FINER = 2  # tubes that are looked for in coordinates of the one before, as long as that helps
 _LESS = 0.01  # of a logarithm: what helps
@@ -44,6 +45,7 @@ class TubeSearch:
     rows: BallMatrix  # of the forms, of estimated loads, and of inputs where these are no forms
     counts: Array  # of each: what is tracked most
     sizes: Array  # of each, in the file
+    proved: float  # the rate with which the forms that are proved fall, in 1/s
 
     @classmethod
     def of(
@@ -66,6 +68,7 @@ class TubeSearch:
             rows=above(*rows),
             counts=np.array(counts),
             sizes=np.array(sizes),
+            proved=proof.rate,
         )
 
     def tubes(self, acts: Acting) -> Iterator[tuple[Sizes, tuple[Tube, ...]]]:
@@ -111,7 +114,9 @@ class TubeSearch:
     def _best(self, drive: Drive, summed: bool) -> Tube | None:
         """Return the best tube that is found, from the rate on with which the mean of all vertices leaves least."""
         of_mean = self._of_mean(drive)
-        best = next(filter(None, (self._at(drive, share, summed) for share in _SHARES[of_mean:])), None)
+        most = max(2 * _BEYOND * self.proved / self.program.clock.most, _SHARES[-1])
+        slow = (share for share in _SHARES[of_mean:] if share <= most)
+        best = next(filter(None, (self._at(drive, share, summed) for share in slow)), None)
         if best is None:
             return None
         at = _SHARES.index(best.share)

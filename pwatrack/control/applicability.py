@@ -71,12 +71,18 @@ class Answer:
     word: Literal["yes", "no", "needs"]
     reason: str = ""
     remark: str = ""
+    beside: str = ""  # what has to exist beside a solution of the inequalities
+    plant: str = ""  # of which other plant all this is said, where it is not the one of the spec
 
     @property
     def text(self) -> str:
         """In words."""
         between = {"yes": "", "no": ": ", "needs": " "}[self.word]
-        return f"{self.word}{between}{self.reason}{self.remark and '; '}{self.remark}"
+        return f"{self.word}{between}{self.needed(', and an ')}{self.remark and '; '}{self.remark}"
+
+    def needed(self, between: str) -> str:
+        """Say what it takes, or why it cannot be gone, with words between inequalities and what has to be beside."""
+        return f"{self.reason}{self.beside and between}{self.beside}{self.plant and ', '}{self.plant}"
 
 
 _no, _needs = partial(Answer, "no"), partial(Answer, "needs")
@@ -118,7 +124,7 @@ def _alone(facts: Applicability) -> Answer:
 
 
 def _state(facts: Applicability) -> Answer:
-    return _no(facts.stuck) if facts.stuck else _needs("(8) and (9), and an x_d that satisfies (3)")
+    return _no(facts.stuck) if facts.stuck else _needs("(8) and (9)", beside="x_d that satisfies (3)")
 
 
 def _smooth(facts: Applicability, *, several: bool) -> Answer:
@@ -174,7 +180,7 @@ def _preview(facts: Applicability) -> Answer:
             f"cell '{names[few]}' has {unstable[few]} unstable modes of the zero dynamics, '{names[many]}' has "
             f"{unstable[many]}"
         )
-    return _needs("(8), (9) and (17±), and a reference known beforehand", "all cells have as many unstable modes")
+    return _needs("(8), (9) and (17±)", "the reference is known beforehand, and all cells have as many unstable modes")
 
 
 def _practical(facts: Applicability) -> Answer:
@@ -190,7 +196,7 @@ def _practical(facts: Applicability) -> Answer:
     exact = _state(facts.merged) if facts.tracking == "state" else _output(facts.merged, kinked=bent)
     if exact.word == "no":
         return _no(f"with all cells merged that can be: {exact.reason}")
-    return _needs(f"{exact.reason}, with cells merged", "errors end below a bound")
+    return replace(exact, plant="with cells merged", remark="errors end below a bound")
 
 
 PRACTICAL = Route(name="practical tracking", judge=_practical, takes=frozenset({"output", "state"}))

@@ -69,9 +69,8 @@ def can_be_designed(report: Applicability, why_not: str, *, refused: bool) -> st
         return "No controller can be designed as it stands: the error says why, and what helps"
     answers = dict(report.answers)
     first = report.open[0]
-    solved, _, also = answers[first].reason.partition(", and an ")
     said = f"A controller can be designed: {_EXACT.get(first.name, first.name)}, unless 'design' finds no solution of "
-    said += f"the paper's {solved.removesuffix(', and a reference known beforehand')}{', or no ' * bool(also)}{also}"
+    said += f"the paper's {answers[first].needed(', or no ')}"
     if first.name in _EXACT:
         return said
     exact = why_not or next(answers[route].reason for route in answers if report.tracking in route.takes)

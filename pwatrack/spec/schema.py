@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import Field, PlainValidator, ValidationError, WithJsonSchema
 
-from pwatrack.errors import Problem, Subject
+from pwatrack.errors import Problem, Subject, listed
 from pwatrack.model.pwa import ROUNDING
 from pwatrack.spec.axis import SweepSection
 from pwatrack.spec.design_section import DesignSection
@@ -197,7 +197,8 @@ def _unknown_key(subject: Subject) -> str:
         return f"; '{key}' is for kind: {' or '.join(map(str, kinds))}"
     if places and key not in siblings:
         return f"; '{key}' belongs under {' or '.join(places[:3])}"
-    return guess(key, sorted(siblings)) or guess(key, sorted(_keys() - {key}))
+    meant = guess(key, sorted(siblings)) or guess(key, sorted(_keys() - {key}))
+    return meant or f"; its section has {listed(sorted(siblings), MOST)}" * bool(siblings)
 
 
 def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
