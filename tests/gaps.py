@@ -48,15 +48,7 @@ def practical_controller(plant: PWASystem, form: ScalarForm, *, watched: bool = 
         less = replace(less, watched=plant)
     controller = track(less, "sin(t)").controller
     columns = [merge.column for merge in chosen.values()]
-    bounds = deviation_bounds(
-        controller.plant,
-        controller.design,
-        controller.proofs,
-        controller.compensation.X,
-        columns,
-        output=True,
-        states=[],
-    )
+    bounds = deviation_bounds(controller, columns)
     assert bounds is not None
     practical = Practical(plant=plant, merges=tuple(chosen.values()), replaced=(), evidence=None, bounds=bounds)
     return replace(controller, running=plant, claims=(practical,))

@@ -320,7 +320,7 @@ def random_box(loop: ClosedLoop, seed: int, share: float = 0.03) -> Robust | Non
     both = [(tuple(A_i + d for A_i in exact.A), tuple(A_i - d for A_i in exact.A)) for d in moved]
     corners = [replace(exact, A=A) for pair in both for A in pair]
     try:
-        return prove_box(plant, loop.controller.design, loop.controller.proofs, corners, output=True)
+        return prove_box(loop.controller, corners)
     except Undecided:
         return None
 

@@ -20,7 +20,6 @@ from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.cost import Costs, cost_bound, noise_level
-from pwatrack.control.candidates import short
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.pareto import pareto
 from pwatrack.control.synthesis import Search, gain, synthesize
@@ -30,7 +29,7 @@ from pwatrack.lmi import picos_model, primal_dual
 from pwatrack.lmi.audit.balls import Ball
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.proofs import refuted
-from pwatrack.lmi.exact import Certificate, prove
+from pwatrack.lmi.exact import Certificate, prove, short
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Impossibility, refute
 from pwatrack.lmi.polynomial import exactly

@@ -34,7 +34,6 @@ from pwatrack.lmi.program import (
     least_condition,
     least_cost,
     least_sizes,
-    least_trace,
     least_violation,
     of_P,
     smaller_gain,
@@ -117,7 +116,7 @@ BUILDERS: dict[str, Callable[[Array, Array], SemidefiniteProgram]] = {
     "largest_margin, bounded": lambda A, B: largest_margin(state_feedback(A, B), 5.0),
     "least_violation": lambda A, B: least_violation([state_feedback(A, B)]),
     "least_condition": lambda A, _: least_condition(lyapunov(A), np.diag(np.arange(1.0, A.shape[1] + 1))),
-    "least_trace": lambda A, _: least_trace(weighted(A, np.eye(A.shape[1]))),
+    "least_sizes, above": lambda A, _: least_sizes(weighted(A, np.eye(A.shape[1])), *2 * [np.eye(A.shape[1])]),
     "least_sizes": lambda A, _: least_sizes(weighted(A, np.eye(A.shape[1])), np.diag(np.arange(1.0, A.shape[1] + 1))),
     "least_cost": lambda A, B: least_cost(quadratic_cost(A, B, np.eye(len(B)), np.eye(B.shape[1])), np.eye(len(B))),
     "smallest_gain": lambda A, B: smallest_gain(state_feedback(A, B), np.eye(len(B)), np.eye(B.shape[1])),
@@ -148,7 +147,7 @@ def test_the_primal_dual_method_and_clarabel_find_the_same_optimum(
     build: str, seed: int, n: int, m: int, cells: int
 ) -> None:
     A, B = feasible(seed, n, m, cells, 1e-2)
-    if build in {"least_condition", "least_trace", "least_sizes", "smaller_gain", "least_violation"}:
+    if build in {"least_condition", "least_sizes", "least_sizes, above", "smaller_gain", "least_violation"}:
         A = np.random.default_rng(seed).normal(size=A.shape) / (4 * n) - np.eye(n)
     program = BUILDERS[build](A, B if build != "least_violation" else B[:, :0])
     first, second = ours(program), picos_model.solve(program)
@@ -235,7 +234,7 @@ def test_what_contradicts_itself_has_no_solution_in_any_solver(seed: int, n: int
     """M P + P Mᵀ + I ⪯ 0 with an M that has an eigenvalue 1; what says so are multipliers with A*(Z) = 0."""
     M = np.random.default_rng(seed).normal(size=(cells, n, n)) - 3 * np.eye(n)
     M[0] += (1 - np.linalg.eigvals(M[0]).real.max()) * np.eye(n)
-    program = least_trace(weighted(M, np.eye(n)))
+    program = least_sizes(weighted(M, np.eye(n)), np.eye(n), above=np.zeros((n, n)))
     found = primal_dual.solve(program)
     assume(found is not None)  # it may give up, seldom: then another one is asked
     assert found is not None

@@ -113,7 +113,7 @@ def test_noise_at_ticks_leaves_the_sum_of_what_each_tick_leaves(g: float) -> Non
     system = Clocked(F=[BallMatrix.of([[-1]])], J=[BallMatrix.of([[g]])], period=Fraction("0.1"))
     program = TubeProgram(system=system, near=np.eye(1), knots=4)
     worst = 1 / (1 - abs(g) * np.exp(-h))
-    decays = np.geomspace(0.1, 1.9 * program.most, 25)
+    decays = np.geomspace(0.1, 1.9 * program.clock.most, 25)
     drive = Drive(held=nothing, between=nothing, ticks=[one])
     found = [tube(program, drive, one, np.ones(1), float(f"{decay:.3g}")) for decay in decays]
     least = min(each.sizes[0] for each in found if each is not None)
@@ -352,7 +352,7 @@ def test_what_ticks_off_their_times_add_is_enclosed_closely(friction: tuple[Spec
     h, r = plain.gains.sample_time, plain.gains.substeps
     theta = 2 * h / (r * fine)  # two points of the walk
     errors = replace(plain, gains=replace(plain.gains, jitter=2 * theta))
-    acts = (asked := asking(spec, controller, errors.gains)).acting and asked.acting(controller, errors)
+    acts = asking(spec, controller, errors.gains).acting(controller, errors)
     assert acts is not None
     x_d, e, off = fine_walk(spec, controller, [], fine)
     count, (n, m) = len(x_d), plant.B.shape
@@ -408,7 +408,6 @@ def test_what_acts_does_not_depend_on_how_the_walk_is_cut(
     monkeypatch.setattr(acting, "BLOCK", 7)
     monkeypatch.setattr(acting, "AT_ONCE", 3)
     asked = asking(spec, controller, the_bounds(controller).errors.gains)
-    assert asked.acting is not None
     found = asked.acting(controller, the_bounds(controller).errors)
     assert found is not None
     acts = replace(acts, squares={channel: each for channel, each in acts.squares.items() if channel[0] != "start"})

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array
-from pwatrack.ball_matrix import zero
+from pwatrack.ball_matrix import BallMatrix, zero
 from pwatrack.claims.exact_text import bounds_content, read_bounds
 from pwatrack.control.bounds import Bounds, Channel, Form, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
@@ -189,14 +189,20 @@ def in_ellipsoid(Q: Packed, z: Array) -> float:
     return root_above((column.transpose() * Q.P.solve(column))[0, 0])
 
 
-def loops_of(controller: ProvedController, limited: Sequence[Form] = (), *, unmoved: bool = False) -> Loops:
-    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded.
+def loops_of(
+    controller: ProvedController,
+    limited: Sequence[Form] = (),
+    *,
+    unmoved: bool = False,
+    deviations: Sequence[BallMatrix] = (),
+) -> Loops:
+    """Return the loops of a controller, exact; with further signals of x − x_d that are to be bounded, and deviations.
 
     With `unmoved` they are for rows of (e, Δ) where estimates of loads do not move x_d.
     """
     (K, L), X = controller.design.exact, controller.compensation.X
     X, output = zero(*X.shape) if unmoved else X, controller.tracking == "output"
-    return Loops(controller.plant, K, L, controller.proofs, X, output=output, limited=limited)
+    return Loops(controller.plant, K, L, controller.proofs, X, output=output, limited=limited, deviations=deviations)
 
 
 def bound_entry(words: Words, bounds: Bounds, *, uncertain: bool = False) -> dict[str, Any]:

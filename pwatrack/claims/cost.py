@@ -19,7 +19,7 @@ from pwatrack.lmi.audit.shape import kind
 from pwatrack.lmi.exact import unsure
 from pwatrack.lmi.inequality import CONTROLLER, Role, weighted
 from pwatrack.lmi.presolve import Coordinates, extreme
-from pwatrack.lmi.program import least_trace
+from pwatrack.lmi.program import least_sizes
 from pwatrack.lmi.solve import solve
 from pwatrack.rational import decimals, fraction_of, is_positive_definite, scalar
 
@@ -100,7 +100,7 @@ def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     at = at.of_mean(at.system(matrices), at.driven(weight + slack))
     inside = at.driven(weight + slack)
     size = float(np.linalg.norm(inside, 2))
-    candidate = solve(least_trace(weighted(at.system(matrices), inside / size)))
+    candidate = solve(least_sizes(weighted(at.system(matrices), inside / size), np.eye(len(Q)), above=0 * slack))
     if candidate is not None:
         X = at.matrix(candidate.P) * size / at.speed
         for room in _ROOM:

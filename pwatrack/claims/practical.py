@@ -18,16 +18,15 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, number_text, up
-from pwatrack.ball_matrix import BallMatrix, above, text, zero
+from pwatrack.ball_matrix import BallMatrix, text
+from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import FUNCTION, TERM, bounds_content, plant_content, read_bounds, signals
 from pwatrack.claims.limits import ideal
-from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid, of_loop
+from pwatrack.control.bounds import Bounds, Channel, Form, Loop, Loops, SignalEllipsoid
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
-from pwatrack.control.synthesis import Gains
 from pwatrack.control.words import Words, sized
 from pwatrack.errors import Problem
 from pwatrack.lmi.peak_gain import PeakGain, peak_gain
-from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.nonlinearity import ScalarForm
 from pwatrack.model.pwa import PWASystem, linear_form_text
 from pwatrack.model.simplification import Simplification, merges, scalar_form, widest
@@ -191,70 +190,47 @@ def least_merges(
 
 
 def deviation_bounds(
-    plant: PWASystem,
-    design: Gains,
-    proofs: Sequence[AnyProof],
-    X: BallMatrix,
-    columns: Sequence[BallMatrix],
-    *,
-    output: bool,
-    states: Sequence[int],
+    controller: ProvedController, columns: Sequence[BallMatrix], states: Sequence[int] = ()
 ) -> tuple[Bounds, ...] | None:
     """Bound what each deviation can do to each signal in the end, proved exactly, per 1 of it; None if one cannot.
 
-    The plant is f̃; if the observer runs another one, that has no deviation. The proofs are what `prove_design`
-    returned for the gains, X is of the `Compensation` of loads, and the columns are E_k (n, 1). `output` says whether
-    outputs are tracked, else states; some `states` are to be bounded beside.
+    The plant of the controller is f̃; if its observer runs another one, that has no deviation. The columns are E_k, (n,
+    1); some `states` are to be bounded beside what is tracked and inputs.
     """
-    K, L = design.exact
-    loops = _Loops(plant, K, L, proofs, X, output=output)
-    loops.columns, loops.seen = columns, plant.watched is None
-    extra: list[Form] = [("state", k) for k in states if output]
-    signals = loops.tracked + loops.inputs + extra
-    found = [bounds for k in range(len(columns)) if (bounds := loops.ended(k, signals)) is not None]
+    loops = loops_of(controller, deviations=columns)
+    signals = loops.tracked + loops.inputs + [("state", k) for k in states if controller.tracking == "output"]
+    found = [bounds for k in range(len(columns)) if (bounds := _ended(loops, k, signals)) is not None]
     return tuple(found) if len(found) == len(columns) else None
 
 
-class _Loops(Loops):
-    """The loops, driven by deviations."""
-
-    columns: Sequence[BallMatrix]  # E_k
-    seen: bool  # whether they drive the observer's error too
-
-    def drive(self, loop: Loop, channel: Channel) -> BallMatrix:
-        if channel[0] != "deviation":
-            return super().drive(loop, channel)
-        e, nothing = self.columns[channel[1]], zero(self.N, 1)
-        delta = nothing - above(e, zero(self.N - self.n, 1)) if self.seen else nothing
-        return of_loop(loop, e, delta)
-
-    def ended(self, k: int, signals: Sequence[Form]) -> Bounds | None:
-        """Return the bounds in the end; without a deviation in the observer that is what the controller's loop says."""
-        channel: Channel = ("deviation", k)
-        loop: Loop = "joint" if self.seen else "controller"
-        estimates = [form for form in self.estimates if form[1] < self.n]
-        sizes, parts = self.sizes("observer", channel, estimates)
-        peaks = dict[int, PeakGain]()
-        if loop in self.M:
-            for signal in signals:
-                size, part = self.sizes(loop, channel, [signal], tries=_TRIES)
-                sizes, parts = sizes | size, parts + part
-                if part and (gain := self.proved_peak(part[0], signal)) is not None and gain.size < size[signal]:
-                    peaks[len(parts) - 1] = gain
-                    sizes[signal] = gain.size
-        else:
-            size, part = self.in_two_steps(channel)
+def _ended(loops: Loops, k: int, signals: Sequence[Form]) -> Bounds | None:
+    """Return the bounds in the end; without a deviation in the observer that is what the controller's loop says."""
+    channel: Channel = ("deviation", k)
+    loop: Loop = "joint" if loops.seen else "controller"
+    estimates = [form for form in loops.estimates if form[1] < loops.n]
+    sizes, parts = loops.sizes("observer", channel, estimates)
+    peaks = dict[int, PeakGain]()
+    if loop in loops.M:
+        for signal in signals:
+            size, part = loops.sizes(loop, channel, [signal], tries=_TRIES)
             sizes, parts = sizes | size, parts + part
-        if any(form not in sizes for form in (*signals, *estimates)):
-            return None
-        sizes = {form: sizes[form] for form in (*signals, *estimates)}
-        return Bounds(channel=channel, sizes=sizes, parts=parts, proved=peaks)
+            if part and (gain := _proved_peak(loops, part[0], signal)) is not None and gain.size < size[signal]:
+                peaks[len(parts) - 1] = gain
+                sizes[signal] = gain.size
+    else:
+        size, part = loops.in_two_steps(channel)
+        sizes, parts = sizes | size, parts + part
+    if any(form not in sizes for form in (*signals, *estimates)):
+        return None
+    sizes = {form: sizes[form] for form in (*signals, *estimates)}
+    return Bounds(channel=channel, sizes=sizes, parts=parts, proved=peaks)
 
-    def proved_peak(self, part: SignalEllipsoid, signal: Form) -> PeakGain | None:
-        if len(self.M[part.loop]) != 1:
-            return None
-        drive, row = self.drive(part.loop, part.channel), self.row(part.loop, signal)
-        return peak_gain(self.M[part.loop][0], drive, row, part.ellipsoid)
+
+def _proved_peak(loops: Loops, part: SignalEllipsoid, signal: Form) -> PeakGain | None:
+    if len(loops.M[part.loop]) != 1:
+        return None
+    drive, row = loops.drive(part.loop, part.channel), loops.row(part.loop, signal)
+    return peak_gain(loops.M[part.loop][0], drive, row, part.ellipsoid)
 
 
 def merged_ways(told: Any, plant: PWASystem) -> tuple[Simplification, ...]:

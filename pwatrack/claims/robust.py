@@ -14,18 +14,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pwatrack.arrays import OVER_SUMS, Array, number_text, up
-from pwatrack.ball_matrix import BallMatrix, above, beside, different, text, zero
-from pwatrack.claims.bounds import from_start, with_acting
+from pwatrack.ball_matrix import BallMatrix, above, beside, different, text
+from pwatrack.claims.bounds import from_start, loops_of, with_acting
 from pwatrack.claims.exact_text import bounds_content, corner_content, read_bounds
-from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form, Loops
+from pwatrack.control.bounds import MOST_WORK, Bounds, Channel, Form
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Seen, Told
 from pwatrack.control.convergence import best_certificate
-from pwatrack.control.synthesis import Gains
 from pwatrack.control.vertices import Differences
 from pwatrack.control.words import Words, down
 from pwatrack.errors import OutsideTheory, ProblemPart, Remedy, Undecided, Way
 from pwatrack.lmi.ellipsoid import Inner
-from pwatrack.lmi.polynomial import AnyProof
 from pwatrack.model.pwa import Matrices, PWASystem
 from pwatrack.real import Box
 
@@ -55,10 +53,10 @@ class Robust(Claim):
     def prove(cls, controller: ProvedController, asked: Asked, told: Told = None) -> Iterator["Robust"]:
         if not asked.box or (told is not None and told["uncertain"] is None):
             return
-        plant, output = controller.plant, controller.tracking == "output"
+        plant = controller.plant
         corners = tuple(asked.corners(plant))
         if told is None:
-            yield prove_box(plant, controller.design, controller.proofs, corners, output=output, box=asked.box)
+            yield prove_box(controller, corners, asked.box)
         else:
             content = told["uncertain"]
             count = len(joint_matrices(plant.exact, corners, *controller.design.exact))
@@ -133,24 +131,15 @@ def check_without_loads(plant: PWASystem) -> None:
         raise OutsideTheory(message, subject=(ProblemPart.UNCERTAIN,), hint="leave out one or the other")
 
 
-def prove_box(
-    plant: PWASystem,
-    design: Gains,
-    proofs: Sequence[AnyProof],
-    corners: Sequence[Matrices],
-    *,
-    output: bool,
-    box: Box = (),
-) -> Robust:
+def prove_box(controller: ProvedController, corners: Sequence[Matrices], box: Box = ()) -> Robust:
     """Prove for every plant of a box that x − x_d ends within bounds, each signal in its own unit.
 
-    The proofs are what `prove_design` returned for the design, and `corners` the matrices at the corners of the box,
-    with the same cells; `output` says whether outputs are tracked, else states. Raises OutsideTheory if loads are
-    estimated too; Undecided if there are too many inequalities, or no common P is found.
+    The matrices at the corners of the box have the same cells. Raises OutsideTheory if loads are estimated too;
+    Undecided if there are too many inequalities, or no common P is found.
     """
+    plant = controller.plant
     check_without_loads(plant)
-    K, L = design.exact
-    M = joint_matrices(plant.exact, corners, K, L)
+    M = joint_matrices(plant.exact, corners, *controller.design.exact)
     order = M[0].shape[0]
     if len(M) * order**4 > MOST_WORK:
         most = MOST_WORK // order**4
@@ -163,8 +152,7 @@ def prove_box(
     found = best_certificate(matrices) if worst < 0 else None
     if found is None or found.rate <= 0:
         raise _undecided(len(M), order, worst)
-    n = len(plant.B)
-    loops = Loops(plant, K, L, proofs, zero(n, 0), output=output)
+    loops = loops_of(controller)
     loops.M["joint"], loops.inners["joint"] = M, [Inner.proved(found.P, found.rate)]
     bounds = []
     for k in varying_rows(plant.exact, corners):

@@ -373,7 +373,7 @@ class SampledBounds(TubeBounds):
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
         for loop in controller.claims_of(SampledLoop):
-            if loop.proof is not None and asked.acting is not None:
+            if loop.proof is not None:
                 merged = (merge for claim in controller.claims_of(Practical) for merge in claim.merges)
                 deviations = [(merge.column, float(np.nextafter(float(merge.largest), np.inf))) for merge in merged]
                 errors = replace(errors_of(controller, loop.gains), deviations=deviations)

@@ -81,9 +81,7 @@ class SampledBoxBounds(TubeBounds):
     @classmethod
     def known(cls, controller: ProvedController, asked: Asked) -> Iterator[tuple[ClockedProof, SampledErrors, Acting]]:
         proofs = [box.proof for box in controller.claims_of(SampledBox) if box.proof is not None]
-        if asked.acting is None or controller.claims_of(Practical):
-            return
-        for proof in proofs:
+        for proof in proofs if not controller.claims_of(Practical) else ():
             for _, _, errors in _both(controller):
                 if (acts := asked.acting(controller, errors)) is not None:
                     yield proof, errors, acts

@@ -21,7 +21,6 @@ from pwatrack.claims.region import RegionClaim, every, nothing_left
 from pwatrack.claims.sampled import SampledLoop, errors_of, on_estimates
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.control.bounds import Form
-from pwatrack.control.candidates import short
 from pwatrack.control.controller import Asked, ProvedController, Row, Told
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.sampled_disturbances import beside_loads, cut_off, drives
@@ -31,6 +30,7 @@ from pwatrack.control.words import Words
 from pwatrack.lmi.clocked import ClockedProof
 from pwatrack.lmi.clocked_region import SaturatedTicks
 from pwatrack.lmi.ellipsoid import Inner
+from pwatrack.lmi.exact import short
 from pwatrack.lmi.saturated import SaturatedLoop
 from pwatrack.rational import floats
 

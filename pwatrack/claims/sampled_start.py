@@ -24,11 +24,11 @@ def from_start(
     """
     noise = acts.noise(len(controller.plant.C))
     if errors.gains.delay:
-        late = None if asked.late is None else asked.late(controller, errors, noise)
+        late = asked.late(controller, errors, noise)
         if late is None or late.substeps >= len(acts.near):
             return errors, acts
         return _begun(errors, acts.after(late), begun(errors, acts, late))
-    starts = None if asked.begins is None else asked.begins(controller)
+    starts = asked.begins(controller)
     if starts is None:
         return errors, acts
     if asked.measured is not None:

@@ -104,7 +104,7 @@ class TubeSearch:
         squares = np.array([acts.squares[channel] for channel in drives])
         most = np.sqrt(squares.max(axis=1) if summed else np.maximum(squares.mean(axis=1), _RARE * squares.max(axis=1)))
         rows, whole = self.rows.floats, Drive.together([*drives.values()], [1.0] * len(drives))
-        a, b = whole.decay(_MIDDLE * self.program.most, self.program.system)
+        a, b = whole.decay(_MIDDLE * self.program.clock.most, self.program.system)
         shares = most * self.program.alone(whole, rows, self.counts / self.sizes**2, a=a, b=b)
         known = shares.any() and np.isfinite(shares).all()
         shares = np.maximum(shares / shares.sum(), _LEAST) if known else np.ones(len(shares))
@@ -114,7 +114,7 @@ class TubeSearch:
     def _best(self, drive: Drive, summed: bool) -> Tube | None:
         """Return the best tube that is found, from the rate on with which the mean of all vertices leaves least."""
         of_mean = self._of_mean(drive)
-        most = max(2 * _BEYOND * self.proved / self.program.most, _SHARES[-1])
+        most = max(2 * _BEYOND * self.proved / self.program.clock.most, _SHARES[-1])
         slow = (share for share in _SHARES[of_mean:] if share <= most)
         best = next(filter(None, (self._at(drive, share, summed) for share in slow)), None)
         if best is None:
@@ -141,14 +141,14 @@ class TubeSearch:
         """Return which share of the rate leaves least in the loop of the mean of all vertices."""
         program, weights, found = self.program, self.counts / self.sizes**2, list[float]()
         for share in _SHARES:
-            a, b = drive.decay(share * program.most, program.system)
+            a, b = drive.decay(share * program.clock.most, program.system)
             with np.errstate(all="ignore"):  # what does not decay as fast is out of range
                 alone = program.alone(drive, self.rows.floats, weights, a=a, b=b)
             found.append(float(alone.sum() / np.sqrt(share)))
         return int(np.argmin(np.nan_to_num(found, nan=np.inf)))
 
     def _at(self, drive: Drive, share: float, summed: bool, near: Tube | None = None) -> "_Found | None":
-        decay = rounded_down(share * self.program.most, 3)
+        decay = rounded_down(share * self.program.clock.most, 3)
         sizes = self.sizes if near is None else np.array(near.sizes)
         weights = self.counts / np.where(sizes, sizes, np.inf) ** 2
         found = None

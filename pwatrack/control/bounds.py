@@ -112,7 +112,8 @@ class Loops:
 
     X is of the `Compensation` of loads. `acting` are a disturbance of each state equation, then the noise of each
     measured output; `starts` the entries of (x − x_d, x̂ − x, ŝ − s) that are 1 together: each alone, but for a
-    sinusoidal load. `limited` are further signals of x − x_d that are to be bounded.
+    sinusoidal load. `limited` are further signals of x − x_d that are to be bounded, `deviations` columns E_k (n, 1) of
+    what the plant may deviate by.
     """
 
     def __init__(
@@ -125,11 +126,13 @@ class Loops:
         *,
         output: bool,
         limited: Sequence[Form] = (),
+        deviations: Sequence[BallMatrix] = (),
     ) -> None:
         exact, seen, n, N = plant.exact, plant.observed, plant.exact.B.shape[0], L.shape[0]
         A, B, drive = [exact.A[i] for i in plant.hull], exact.B, coupling(plant, K, L, X)
         self.B, self.C, self.c, self.K, self.L = B, exact.C, exact.tracked, K, L
-        self.n, self.N, self.coupling = n, N, drive
+        self.n, self.N, self.coupling, self.deviations = n, N, drive, deviations
+        self.seen = plant.watched is None  # whether deviations drive the observer's error too
         self.shifted = X @ L.part(range(n, N), range(L.shape[1]))  # by which noise reaches x_d
         self.M: dict[Loop, list[BallMatrix]] = {
             "controller": [A_i + B @ K for A_i in A],
@@ -245,6 +248,9 @@ class Loops:
             e, delta = unit.part(range(self.n), [0]), nothing - unit
         elif kind == "noise":
             e, delta = _column(self.shifted, k), nothing - _column(self.L, k)
+        elif kind == "deviation":
+            e = self.deviations[k]
+            delta = nothing - above(e, zero(self.N - self.n, 1)) if self.seen else nothing
         else:
             e, delta = _column(self.B, k), nothing
         return of_loop(loop, e, delta)

@@ -10,14 +10,14 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from pwatrack.arrays import EPS, Array, root_of
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task
+from pwatrack.lmi.exact import short
 from pwatrack.lmi.inequality import quadratic_cost, state_feedback
 from pwatrack.lmi.pair import MANY_STATES, Pair
 from pwatrack.lmi.presolve import Coordinates, extreme
 from pwatrack.lmi.program import Solution, largest_margin, least_cost, smaller_gain, smallest_gain
-from pwatrack.lmi.saturated import LimitedFound, LimitedGain
+from pwatrack.lmi.saturated import LimitedGain
 from pwatrack.lmi.solve import solve
 
-DIGITS = 9  # of a gain
 FASTER = 2e-3  # than asked, as a share, so that a margin is left for the exact proof
 _HARDLY_FASTER = 5e-4  # the same where that much is out of reach
 _STATE_WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)  # of the states against the inputs, in costs whose gains are tried
@@ -69,14 +69,14 @@ class Candidates:
         at = self.at.of_regulator(A, B, root.T @ root, R)
         found = self._limited(at, within, shift).cheapest(at.rows(rows))
         if found is not None:
-            yield self._candidate(at, found)
+            yield self._candidate(at, *found)
 
     def farthest(self, within: InputConstraint, rate: float) -> tuple[Candidate, float] | None:
         """Return the gain of a rate (1/s) with which limits do no harm from most of some starts, and the multiple."""
         shift = self._shift(rate, _HARDLY_FASTER)
         at = self._regulated(shift)
         found = self._limited(at, within, shift).farthest()
-        return None if found is None else (self._candidate(at, found[0]), found[1])
+        return None if found is None else (self._candidate(at, *found[:2]), found[2])
 
     def farthest_held(self, within: InputConstraint, h: float) -> Candidate | None:
         """Return the same gain for inputs that are held for h (s), as if each sample began and ended in one cell."""
@@ -86,7 +86,7 @@ class Candidates:
         whole[:, :n, :n], whole[:, :n, n:] = program.A, program.B
         over = expm(whole * (h * at.speed))
         found = replace(program, A=over[:, :n, :n], B=over[:, :n, n:], held=True).farthest()
-        return None if found is None else self._candidate(at, found[0])
+        return None if found is None else self._candidate(at, *found[:2])
 
     def _limited(self, at: Coordinates, within: InputConstraint, shift: Array) -> LimitedGain:
         """Return the program in coordinates in which the starts have size 1; P and Y are in proportion."""
@@ -113,7 +113,7 @@ class Candidates:
                 solution = solve(largest_margin(inequality, most))
                 if solution is None:
                     return
-                candidate = self._candidate(at, solution, inequality.margin(solution.P, solution.Y))
+                candidate = self._candidate(at, solution.P, solution.Y, inequality.margin(solution.P, solution.Y))
                 yield candidate
                 if candidate.margin < 0:
                     break
@@ -142,7 +142,7 @@ class Candidates:
             if solution is None or not _definite(solution.P):
                 return
             seen.append(solution)
-            candidate = self._candidate(at, solution)
+            candidate = self._candidate(at, solution.P, solution.Y)
             yield candidate
             norm = self.task.norm(candidate.K)
             if norm > _WORTH_IT * before:
@@ -168,14 +168,14 @@ class Candidates:
         inequality = quadratic_cost(at.system(self.A) + shift, B, at.rows(rows), R)
         solution = solve(least_cost(inequality, at.states(self.at.T)))
         if solution is not None:
-            yield self._candidate(at, replace(solution, Y=-np.asarray(np.linalg.solve(R, B.T))))
+            yield self._candidate(at, solution.P, -np.asarray(np.linalg.solve(R, B.T)))
 
-    def _candidate(self, at: Coordinates, solution: Solution | LimitedFound, margin: float = np.nan) -> Candidate:
+    def _candidate(self, at: Coordinates, P: Array, Y: Array, margin: float = np.nan) -> Candidate:
         """Return K = Y P⁻¹; not a number where P is not positive definite to working precision."""
         K = np.full((self.task.B.shape[1], self.A.shape[1]), np.nan)
-        if _definite(solution.P):
-            K = at.gain(np.asarray(np.linalg.solve(solution.P, solution.Y.T).T))
-        return Candidate(K=short(K), P=at.matrix(solution.P), margin=margin)
+        if _definite(P):
+            K = at.gain(np.asarray(np.linalg.solve(P, Y.T).T))
+        return Candidate(K=short(K), P=at.matrix(P), margin=margin)
 
     def _shift(self, rate: float, faster: float) -> Array:
         """Return what a rate adds to A in sizes, a little more than asked."""
@@ -183,16 +183,6 @@ class Candidates:
 
     def _regulated(self, shift: Array) -> Coordinates:
         return self.at.of_regulator(self.at.system(self.A) + shift, self.at.input(self.task.B))
-
-
-def short(K: Array, digits: int = DIGITS) -> Array:
-    """Return the gain with so many significant digits, none of them −0: what is printed is what is proved and used.
-
-    Example:
-        >>> short(np.array([[-1 / 3, -0.0]])).tolist()
-        [[-0.333333333, 0.0]]
-    """
-    return np.array([[float(f"{v:.{digits - 1}e}") + 0.0 for v in row] for row in K]).reshape(K.shape)
 
 
 def _state_weights(A: Array, B: Array) -> Iterator[Array]:

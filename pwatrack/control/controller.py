@@ -47,13 +47,13 @@ class Asked:
     set_points: Demand | None  # what a reference made of set-points takes, where the program makes one
     box: Box  # parameters that are uncertain
     corners: Callable[[PWASystem], Sequence[Matrices]]  # the matrices at its corners, for the plant of a design
+    acting: "Callable[[ProvedController, SampledErrors], Acting | None]"  # in the run, if known
+    begins: "Callable[[ProvedController], Starts | None]"  # with which errors the run does, if known
+    late: "Callable[[ProvedController, SampledErrors, Array], LateStart | None]"  # and noise: likewise
     solver: Solver = "structured"  # who is asked for what is proved later
     sampled: SampledGains | None = None  # the gains of a program that predicts and corrects, where they matter
     changes: Array | None = None  # by how much inputs may change in a sample, (m,), infinite where by any
     measured: Array | None = None  # X of x̂(0) = X y, (n, q), where the observer starts from what is measured
-    acting: "Callable[[ProvedController, SampledErrors], Acting | None] | None" = None  # in the run
-    begins: "Callable[[ProvedController], Starts | None] | None" = None  # with which errors the run does, if known
-    late: "Callable[[ProvedController, SampledErrors, Array], LateStart | None] | None" = None  # and noise: likewise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from pwatrack.arrays import Array
-from pwatrack.control.candidates import short
-from pwatrack.lmi.exact import rounded_down
+from pwatrack.lmi.exact import rounded_down, short
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.pwa import PWASystem
 

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from pwatrack.arrays import Array
-from pwatrack.control.candidates import short
 from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.sampled_gains import SampledGains
 from pwatrack.control.task import Task
 from pwatrack.lmi.clocked_gains import correction, feedback
+from pwatrack.lmi.exact import short
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER, Role
 from pwatrack.model.pwa import PWASystem
 from pwatrack.model.sizes import Sizes

@@ -10,14 +10,14 @@ import numpy as np
 from pwatrack.arrays import Array, readonly
 from pwatrack.ball_matrix import BallMatrix, different, places
 from pwatrack.control import refusal
-from pwatrack.control.candidates import DIGITS, FASTER, Candidate, Candidates, short
+from pwatrack.control.candidates import FASTER, Candidate, Candidates
 from pwatrack.control.convergence import best_certificate, pair_certificates, precise_certificate, prove_convergence
 from pwatrack.control.goal import DEFAULT, AtLeast, Fastest, Given, Goal, LeastCost, Smallest, demands
 from pwatrack.control.headroom import InputConstraint
 from pwatrack.control.task import Task, reaches
 from pwatrack.errors import ProblemPart
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.exact import Certificate, prove
+from pwatrack.lmi.exact import DIGITS, Certificate, prove, short
 from pwatrack.lmi.inequality import CONTROLLER, OBSERVER
 from pwatrack.lmi.infeasibility import Refutation, refute, seems_impossible
 from pwatrack.lmi.pair import MANY_STATES, Pair

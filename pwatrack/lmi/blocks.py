@@ -50,13 +50,13 @@ class Blocks:
         return sum(count * N for count, N in self.shapes)
 
     def stacks(self, x: Array) -> list[Array]:
-        """Return views of the stacks in a vector."""
-        return [x[place].reshape(shape) for place, shape in self._slices]
+        """Return views of the stacks in a vector, or in each of several, (…, size)."""
+        return [x[..., place].reshape(*x.shape[:-1], *shape) for place, shape in self._slices]
 
     def parts(self, x: Array) -> list[Array]:
-        """Return views of the matrices of each constraint in a vector."""
+        """Return views of the matrices of each constraint in a vector, or in each of several, (…, size)."""
         stacks = self.stacks(x)
-        return [stacks[k][first:last, :N, :N] for k, first, last, N in self._places]
+        return [stacks[k][..., first:last, :N, :N] for k, first, last, N in self._places]
 
     def unscaled(self, changes: Sequence[Array], scalings: "Sequence[Scaling]") -> Array:
         """Return the vector of changes of Z whose scaled forms these are."""

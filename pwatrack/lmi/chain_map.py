@@ -35,18 +35,25 @@ class Bound:
     places: Sequence[int] = ()  # of the τ_l among all
     S: Array | None = None  # (l, N, N)
 
-    def padded(self, N: int) -> "Bound":
-        """Return the same of a larger order: 0 ≤ 1 is added."""
-        more = N - len(self.T)
-        if not more:
-            return self
-        around, eye = ((0, more), (0, more)), np.diag(np.where(np.arange(N) < N - more, 0.0, -1.0))
-        terms = {
-            k: (np.pad(L, ((0, more), (0, 0))), np.pad(R, ((0, 0), (0, more)))) for k, (L, R) in self.terms.items()
-        }
-        C = np.asarray(eye if self.C is None else np.pad(self.C, around) + eye)
-        S = None if self.S is None else np.pad(self.S, ((0, 0), *around))
-        return Bound(terms, np.pad(self.T, around), C, self.places, S)
+
+def square(X: Array, sign: float = 1.0) -> Term:
+    """Return the term Xᵀ P X, with a sign."""
+    return sign / 2 * X.T, X
+
+
+def shrinks(before: int, after: int, J: Array, more: Array, on: Array | None = None) -> Bound:
+    """Return Xᵀ (Jᵀ P_after J − P_before + t more) X ⪯ 0, with X what is looked at, all if that is not said."""
+    X = np.eye(len(J)) if on is None else on
+    left = X.T @ J.T
+    return Bound({before: square(X, -1.0), after: (left / 2, left.T)}, X.T @ more @ X)
+
+
+def _filled(parts: Sequence[Array], shape: tuple[int, ...]) -> Array:
+    """Return arrays as parts of zeros of one shape."""
+    found = np.zeros((len(parts), *shape))
+    for whole, X in zip(found, parts, strict=True):
+        whole[tuple(map(slice, X.shape))] = X
+    return found
 
 
 class ChainMap(LinearMap):
@@ -58,12 +65,12 @@ class ChainMap(LinearMap):
     def __init__(self, bounds: Sequence[Bound], count: int, weight: Array | None = None, scalars: int = 0) -> None:
         n = next(R.shape[0] for _, R in bounds[0].terms.values())
         free, N = all(bound.C is None or not bound.C.any() for bound in bounds), max(len(bound.T) for bound in bounds)
-        bounds = [bound.padded(N) for bound in bounds]
-        self.P, self.count, self.T = Triangle(n), count, np.array([bound.T for bound in bounds])
+        self.P, self.count, self.T = Triangle(n), count, _filled([bound.T for bound in bounds], (N, N))
         self.first = count * self.P.size
         self.size = self.main = self.first + scalars + 1
-        self.blocks = Blocks([(len(bounds), N)])
-        self.constant = np.array([np.zeros((N, N)) if bound.C is None else bound.C for bound in bounds]).ravel()
+        self.blocks = Blocks([(1, len(bound.T)) for bound in bounds], padded=True)  # by constraints 0 ≤ 1
+        constants = [0 * bound.T if bound.C is None else bound.C for bound in bounds]
+        self.constant = self.blocks.of([C[None] for C in constants], beside=-1.0)
         self.rows = np.zeros((1, self.size))
         if weight is None:
             self.cost, self.values = np.append(np.zeros(self.size - 1), -1.0), np.array([float(n)])
@@ -78,13 +85,14 @@ class ChainMap(LinearMap):
         self.of = list[tuple[IntArray, Array, Array]]()  # which inequalities have a matrix, L and R of each
         for k in range(count):
             at = [j for j, bound in enumerate(bounds) if k in bound.terms]
-            L, R = (np.array([bounds[j].terms[k][side] for j in at]) for side in (0, 1))
+            L, R = (_filled([bounds[j].terms[k][side] for j in at], ((N, n), (n, N))[side]) for side in (0, 1))
             self.of.append((np.array(at), L, R))
-        having = [j for j, bound in enumerate(bounds) if len(bound.places)]
-        shape = len(having), len(bounds[having[0]].places) if having else 0
-        self.having = np.array(having, dtype=np.int64)  # which inequalities have some of the τ, and which: as many each
-        self.which = self.first + np.array([bounds[j].places for j in having], dtype=np.int64).reshape(shape)
-        self.S = np.array([bounds[j].S for j in having]).reshape(*shape, N, N)
+        having = [(j, bound) for j, bound in enumerate(bounds) if bound.S is not None and len(bound.places)]
+        some = len(having[0][1].places) if having else 0
+        self.having = np.array([j for j, _ in having], dtype=np.int64)  # which have some of the τ: as many each
+        places = np.array([bound.places for _, bound in having], dtype=np.int64).reshape(len(having), some)
+        self.which = self.first + places
+        self.S = _filled([bound.S for _, bound in having if bound.S is not None], (some, N, N))
 
     @cached_property
     def both(self) -> list[Array]:

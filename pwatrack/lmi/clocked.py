@@ -63,6 +63,13 @@ class Clocked:
         return zip(self.F, self.U or [zero(n, 0)] * len(self.F), self.V or [zero(0, n)] * len(self.F), strict=True)
 
     @property
+    def backward(self) -> "Clocked":
+        """What is transposed, in backward time: of a form of it the inverse is one of this."""
+        F, U, V, J = ([X.transpose() for X in each] for each in (self.F, self.V, self.U, self.J))
+        R = None if self.between is None else self.between.transpose()
+        return Clocked(F=F, J=J, period=self.period, parts=self.parts, between=R, U=U, V=V)
+
+    @property
     def vertices(self) -> Iterator[BallMatrix]:
         """F_i + U_i diag(ε) V_i with all ε_k at 1 or −1: 2^p of each box."""
         for F, U, V in self.boxes:
@@ -175,32 +182,34 @@ def knots_of(system: Clocked, P: Sequence[Packed], T: Sequence[Sequence[float]])
 
 def proves(system: Clocked, P: Sequence[Packed], T: Sequence[Sequence[float]], rate: float) -> bool:
     """Say whether forms satisfy the inequalities, decided in fractions, for everything in the balls of F and J."""
-    parts, turned = knots_of(system, P, T), [F.transpose() for F in system.F]
+    parts = knots_of(system, P, T)
     if rate < 0 or parts is None:
         return False
-    jumps = [(J, P[0], P[-1]) for J in system.J]
+    ends = (shrunk(J, (after.P, after.scale), (before.P, before.scale)) for J, after, before in jumps(system, parts))
+    each = (slack for slack, *_ in slacks(system, parts, 2 * rate))
+    return all(map(is_positive_definite, ends)) and all(map(is_positive_definite, each))
+
+
+def jumps(system: Clocked, parts: Sequence[Sequence[Knot]]) -> Iterator[tuple[BallMatrix, Packed, Packed]]:
+    """Yield what jumps make of z, those of ticks first, with the forms after and before each."""
+    yield from ((J, parts[0][0][0], parts[-1][-1][0]) for J in system.J)
     for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
         assert system.between is not None
-        jumps.append((system.between, after, before))
-    ends = ((J, (after.P, after.scale), (before.P, before.scale)) for J, after, before in jumps)
-    if not all(is_positive_definite(shrunk(*end)) for end in ends):
-        return False
-    for rise, P_e, T_e in rises(system, parts):
-        decay = rise + scalar(2 * rate) * P_e.P
-        for F, (_, U, V) in zip(turned, system.boxes, strict=True):
-            more = decay + edges(BallMatrix(P_e.P) @ U, V.transpose(), T_e, P_e.scale)
-            if not is_positive_definite(left_side(F, P_e) - more):
-                return False
-    return True
+        yield system.between, after, before
 
 
-def rises(system: Clocked, parts: Sequence[Sequence[Knot]]) -> Iterator[tuple[Rational, Packed, Sequence[float]]]:
-    """Yield (P_{k+1} − P_k) / δ with what stands at each of both ends."""
+def slacks(
+    system: Clocked, parts: Sequence[Sequence[Knot]], fall: float
+) -> Iterator[tuple[Rational, Packed, Sequence[float], int]]:
+    """Yield what is positive definite where V falls so fast, with what stands at an end of a segment, and its box."""
     slope = number(Fraction((len(parts[0]) - 1) * system.parts) / system.period)
-    for part in parts:
-        for one, other in pairwise(part):
-            rise = (other[0].P - one[0].P) * slope
-            yield from ((rise, *end) for end in (one, other))
+    boxes = [(F.transpose(), U, V.transpose()) for F, U, V in system.boxes]
+    for one, other in (pair for part in parts for pair in pairwise(part)):
+        rise = (other[0].P - one[0].P) * slope
+        for P, T in (one, other):
+            more = rise + scalar(fall) * P.P
+            for i, (F, U, V) in enumerate(boxes):
+                yield left_side(F, P) - more - edges(BallMatrix(P.P) @ U, V, T, P.scale), P, T, i
 
 
 def edges(U: BallMatrix, V: BallMatrix, T: Sequence[float], unit: Sequence[Fraction]) -> Rational:

@@ -13,11 +13,12 @@ from itertools import accumulate, pairwise, product
 from typing import TypeVar
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from pwatrack.arrays import Array, balancing, symmetric_part
 from pwatrack.lmi.bisection import bisected
-from pwatrack.lmi.chain_map import Bound, ChainMap
+from pwatrack.lmi.chain_map import Bound, ChainMap, shrinks, square
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.primal_dual import least
 
@@ -77,6 +78,7 @@ class ClockedForms:
     near: Array | None = None  # a form P_0 that is known to do for smaller rates, (n, n): it decides the coordinates
     begin: Forms | None = None  # forms that nearly do: a search begins there
     asked: dict[Segment, list[int]] = field(default_factory=dict)  # vertices, as far as it is known which matter
+    turned: bool = False  # whether time goes from the last knot to the first
 
     def part(self, where: slice) -> "ClockedForms":
         """Return the program for some entries of z, as if there were no others."""
@@ -97,6 +99,12 @@ class ClockedForms:
             frame.right(self.V) * longer[:, None],
         )
         return replace(self, F=F, U=U, V=V, J=frame.inside(self.J), R=frame.inside(self.R[None])[0], period=1.0)
+
+    @property
+    def backward(self) -> "ClockedForms":
+        """The program for what is transposed, in backward time: of a form there the inverse is one here."""
+        F, U, V, J = (X.transpose(0, 2, 1) for X in (self.F, self.V, self.U, self.J))
+        return replace(self, F=F, U=U, V=V, J=J, R=self.R.T, turned=not self.turned)
 
     def longer(self, L: Array) -> Array:
         """Return by how much u is longer than v there, (p,)."""
@@ -158,17 +166,20 @@ class ClockedForms:
         """How many entries all T have."""
         return self.count * len(self.V[0])
 
-    def falls(self, segment: Segment, i: int, margin: Array) -> Bound:
-        """Return P_{k+1} − P_k + step (F_iᵀ P_e + P_e F_i + V_iᵀ T_e V_i + P_e U_i T_e⁻¹ U_iᵀ P_e) + t margin ⪯ 0."""
-        (k, after, e), (n, p), step = segment, self.U.shape[1:], self.step
-        first, nothing = np.eye(n, n + p), np.zeros((p, n))
-        L = {k: -np.eye(n) / 2, after: np.eye(n) / 2}
-        L[e] = L[e] + step * self.F[i].T
-        below = {j: step * self.U[i].T if j == e else nothing for j in L}
-        terms = {j: (np.vstack([X, below[j]]), first) for j, X in L.items()}
-        V, own = self.V[i] @ first, np.eye(p, n + p, n)
+    def falls(self, segment: Segment, i: int, T: Array, push: Array | None = None) -> Bound:
+        """Return P_{k+1} − P_k + step (F_iᵀ P_e + P_e F_i + V_iᵀ T_e V_i + P_e U_i T_e⁻¹ U_iᵀ P_e) + t T ⪯ 0.
+
+        As a Schur complement it is [·, P_e U_i; ·, −T_e]; in between T may have more, `push` of it times P_e.
+        """
+        (k, after, e), (n, p), step, first = segment, self.U.shape[1:], self.step, np.eye(self.U.shape[1], len(T))
+        L = {k: -first.T / 2, after: first.T / 2}
+        L[e][:n] += step * self.F[i].T
+        L[e][len(T) - p :] = step * self.U[i].T
+        if push is not None:
+            L[e][n : len(T) - p] = push
+        V, own = self.V[i] @ first, np.eye(p, len(T), len(T) - p)
         S = step * (V[:, :, None] * V[:, None, :] - own[:, :, None] * own[:, None, :])
-        return Bound(terms, first.T @ margin @ first, None, range(e * p, (e + 1) * p), S)
+        return Bound({j: (X, first) for j, X in L.items()}, T, None, range(e * p, (e + 1) * p), S)
 
     @property
     def unknowns(self) -> int:
@@ -180,19 +191,23 @@ class ClockedForms:
         """Time between knots."""
         return self.period / (self.parts * self.knots)
 
+    def _in_time(self, one: int, other: int) -> tuple[int, int]:
+        """Return two knots, the earlier one first."""
+        return (other, one) if self.turned else (one, other)
+
     @cached_property
     def segments(self) -> list[Segment]:
         """Both ends of all segments."""
         starts = [j * (self.knots + 1) + k for j in range(self.parts) for k in range(self.knots)]
-        return [(k, k + 1, e) for k in starts for e in (k, k + 1)]
+        return [(*self._in_time(k, k + 1), e) for k in starts for e in (k, k + 1)]
 
     def jumps(self, J: Array, R: Array) -> Iterator[tuple[int, int, Array, float]]:
         """What jumps make, from the last knot of a part to the first of the next; shares of the margin."""
         size = self.knots + 1
         for j in range(1, self.parts):
-            yield j * size - 1, j * size, R, 0.25 / self.parts
+            yield *self._in_time(j * size - 1, j * size), R, 0.25 / self.parts
         for J_j in J:
-            yield self.parts * size - 1, 0, J_j, 0.25
+            yield *self._in_time(self.count - 1, 0), J_j, 0.25
 
     def at(self, rate: float, *, any_margin: bool = False) -> Forms | None:
         """Return forms that satisfy all inequalities at a rate with the largest margin, or with any, or None."""
@@ -240,13 +255,23 @@ class ClockedForms:
         return None
 
     def solved(
-        self, fixed: Sequence[Bound], bound: Callable[[Segment, int], Bound], gap: float, weight: Array | None = None
+        self,
+        fixed: Sequence[Bound],
+        bound: Callable[[Segment, int], Bound],
+        left: Callable[[Array, Array, Segment], Array],
+        gap: float,
+        weight: Array | None = None,
+        worst: int = _WORST,
     ) -> tuple[Array, Array] | None:
-        """Return P, (knots, n, n), and T with some bounds and those of the boxes that are asked for; see `ChainMap`."""
-        bounds = [*fixed, *(bound(segment, i) for segment, some in self.asked.items() for i in some)]
-        chain = ChainMap(bounds, self.count, weight, self.scalars)
-        v = least(chain, gap=gap)
-        return None if v is None else (chain.matrices(v), chain.scalars(v).reshape(self.count, -1))
+        """Return P, (knots, n, n), and T with some bounds, and those of all boxes: see `ChainMap` and `of_few`."""
+
+        def of_asked(_: tuple[Array, Array] | None) -> tuple[Array, Array] | None:
+            bounds = [*fixed, *(bound(segment, i) for segment, some in self.asked.items() for i in some)]
+            chain = ChainMap(bounds, self.count, weight, self.scalars)
+            v = least(chain, gap=gap)
+            return None if v is None else (chain.matrices(v), chain.scalars(v).reshape(self.count, -1))
+
+        return self.of_few(of_asked, lambda found, segment: left(*found, segment), worst)
 
     def fastest(self, most: float, looks: int) -> Forms | None:
         """Return forms that prove nearly the largest rate, below one that none can; or one that is `most` or more."""
@@ -326,13 +351,12 @@ class ClockedForms:
 
         It may begin at others, whose margin does not count; None where there is none.
         """
-        eye = np.eye(self.F.shape[1])
-        less = -eye / 2, eye
-        bounds = [Bound({k: less}, _OF_P * weight) for k in range(self.count)]
+        bounds = [Bound({k: square(np.eye(len(weight)), -1.0)}, _OF_P * weight) for k in range(self.count)]
         jumps = self.jumps(self.J, self.R)
-        bounds += [Bound({before: less, after: (X.T / 2, X)}, share * weight) for before, after, X, share in jumps]
+        bounds += [shrinks(before, after, X, share * weight) for before, after, X, share in jumps]
         asked = self.asked.items()
-        bounds += [self.falls(segment, i, self.share * weight) for segment, some in asked for i in some]
+        margin = scipy.linalg.block_diag(self.share * weight, np.zeros((self.V.shape[1],) * 2))
+        bounds += [self.falls(segment, i, margin) for segment, some in asked for i in some]
         found = best_margin(bounds, self.count, self.scalars, begin, any_margin=any_margin)
         return None if found is None else (found[0], found[1].reshape(self.count, -1), found[2])
 

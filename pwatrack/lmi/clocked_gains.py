@@ -14,9 +14,10 @@ W, V the blocks of Y that e has with e, and ν with e.
 from contextlib import suppress
 
 import numpy as np
+import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import Array, root_of
-from pwatrack.lmi.chain_map import Bound
+from pwatrack.lmi.chain_map import Bound, shrinks, square
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
 from pwatrack.lmi.frame import Frame
 
@@ -97,24 +98,17 @@ def _largest(F: Array, G: Array, N: Array, X: Array, knots: int) -> Array | None
     clock = ClockedForms(F=F, U=U, V=V, J=eye[None], R=eye, knots=knots, period=1.0, sizes=np.ones(n))
     if clock.unknowns > _MOST:
         return None
-    first, own, push = np.eye(n, n + p), np.eye(p, n + p, n), np.sqrt(clock.step) * G.T
+    rest = scipy.linalg.block_diag(clock.step * _REST * G @ G.T, -np.eye(p))
 
     def falls(segment: Segment, i: int) -> Bound:
         """Return the inequality of a cell at an end of a segment, with a little to spare."""
-        flows = clock.falls(segment, i, eye).terms
-        terms = {
-            j: (np.vstack([L, push if j == segment[2] else np.zeros_like(push)]), first) for j, (L, _) in flows.items()
-        }
-        return Bound(terms, clock.step * _REST * first.T @ G @ G.T @ first - own.T @ own)
+        return clock.falls(segment, i, rest, np.sqrt(clock.step) * G.T)
 
-    def left(P: Array, segment: Segment) -> Array:
+    def left(P: Array, T: Array, segment: Segment) -> Array:
         push = P[segment[2]] @ G
-        spent = push @ push.T - _LEAST * eye
-        return np.asarray(clock.left(P, np.zeros((clock.count, 0)), segment) - clock.step * spent)
+        return np.asarray(clock.left(P, T, segment) - clock.step * (push @ push.T - _LEAST * eye))
 
-    fixed = [Bound({k: (-eye / 2, eye)}, _LEAST * eye) for k in range(clock.count)]
-    fixed.append(Bound({0: (N.T / 2, N), knots: (-N.T / 2, N)}, -N.T @ X @ N))
-    found = clock.of_few(
-        lambda _: clock.solved(fixed, falls, _GAP, -eye / n), lambda found, segment: left(found[0], segment)
-    )
+    fixed = [Bound({k: square(eye, -1.0)}, _LEAST * eye) for k in range(clock.count)]
+    fixed.append(shrinks(knots, 0, eye, -X, N))
+    found = clock.solved(fixed, falls, left, _GAP, -eye / n)
     return None if found is None else found[0][-1]

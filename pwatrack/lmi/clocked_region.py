@@ -29,13 +29,12 @@ import numpy as np
 
 from pwatrack.arrays import Array, root_of
 from pwatrack.ball_matrix import BallMatrix
-from pwatrack.lmi.chain_map import Bound
+from pwatrack.lmi.chain_map import Bound, shrinks, square
 from pwatrack.lmi.clocked import Clocked, clocked_proof, in_short_numbers, looked_for, proves, short_diagonals
 from pwatrack.lmi.ellipsoid import reach_of, short_weights
-from pwatrack.lmi.exact import Packed
+from pwatrack.lmi.exact import Packed, short
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import square_above
-from pwatrack.lmi.saturated import short
 from pwatrack.rational import diagonal, floats, is_positive_definite
 
 _DECAYS = (0.02, 0.1)  # of the rate without limits: what V falls with at least, until that is enough to be proved
@@ -145,16 +144,13 @@ class SaturatedTicks:
         L = np.asarray(np.linalg.cholesky(L.T @ L + rows.T @ rows)).T
         inside, rows = clock.inside(Frame(L), rate), rows @ np.linalg.inv(L)
         starts, eye, last = root_of(L @ G @ G.T @ L.T).T, np.eye(len(L)), clock.count - 1
-        less, nothing = (-eye / 2, eye), np.zeros_like(eye)
+        less, nothing, idle = square(eye, -1.0), np.zeros_like(eye), np.zeros((sum(clock.U.shape[1:]),) * 2)
         fixed = [Bound({k: less}, nothing, _LEAST * eye) for k in range(clock.count)]
-        fixed.append(Bound({last: (starts.T / 2, starts)}, nothing, -eye))
+        fixed.append(Bound({last: square(starts)}, nothing, -eye))
         fixed += [Bound({last: less}, np.outer(row, row)) for row in rows[rows.any(axis=1)]]
         jumps = inside.jumps(inside.J * np.exp(rate * clock.period / 4), inside.R)
-        fixed += [Bound({before: less, after: (X.T / 2, X)}, nothing) for before, after, X, _ in jumps]
-        found = inside.of_few(
-            lambda _: inside.solved(fixed, lambda segment, i: inside.falls(segment, i, nothing), _GAP),
-            lambda found, segment: inside.left(*found, segment),
-        )
+        fixed += [shrinks(before, after, X, nothing) for before, after, X, _ in jumps]
+        found = inside.solved(fixed, lambda segment, i: inside.falls(segment, i, idle), inside.left, _GAP)
         return None if found is None else ([L.T @ P @ L for P in found[0]], found[1] * clock.longer(L) ** 2)
 
 

@@ -26,26 +26,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
 
 from pwatrack.arrays import OVER_POWERS, Array
 from pwatrack.ball_matrix import BallMatrix, beside, different
-from pwatrack.lmi.chain_map import Bound
+from pwatrack.lmi.chain_map import Bound, shrinks, square
 from pwatrack.lmi.clocked import (
     Clocked,
-    edges,
     in_short_numbers,
+    jumps,
     knots_of,
     looked_for,
-    rises,
     short_diagonals,
     shrunk,
+    slacks,
 )
 from pwatrack.lmi.clocked_forms import ClockedForms, Segment
-from pwatrack.lmi.exact import Packed, left_side, rounded_down
+from pwatrack.lmi.exact import Packed, rounded_down
 from pwatrack.lmi.frame import Frame
 from pwatrack.lmi.norm import form_above, sizes_in
 from pwatrack.rational import Rational, diagonal, floats, identity, is_positive_definite, number, root, scalar
@@ -89,9 +88,9 @@ class TubeProgram:
         system = self.system
         added = np.array([g.floats for g in drive.held_by(system)])
         if drive.ticks is None and not added.any():  # balls alone drive, or nothing: a tube is sought for a little
-            drive = drive.slowly(_NOTHING * self.most)
+            drive = drive.slowly(_NOTHING * self.clock.most)
             added = drive.between.floats[None]
-        inside, eye = self.clock.inside(at, a / 2), np.eye(len(at.L))
+        inside, eye = self.clock.inside(at, a / 2).backward, np.eye(len(at.L))
         ticks = np.array([X.floats for X in drive.ticks or [drive.held.times(Fraction(0))] * len(inside.J)])
         holding = at.left(added)
         kicking = at.left(ticks) / np.sqrt(1.0 if summed else b or np.inf)
@@ -103,16 +102,16 @@ class TubeProgram:
         seen, rest = at.right(rows[None])[0], slack * eye
         W = seen.T * weights @ seen + _FADING * eye
         fixed = [
-            Bound({k: (-eye / 2, eye)}, rest + g @ g.T / size)
+            Bound({k: square(eye, -1.0)}, rest + g @ g.T / size)
             for g in (np.unique(holding, axis=0) if summed and drive.ticks is None else ())
             for k in range(inside.count)
         ]
-        fixed += [_kept(j - 1, j, inside.R, eye, rest) for j in range(self.knots + 1, inside.count, self.knots + 1)]
-        for J_j, kick in zip(inside.J, kicking, strict=True):
-            left, kicked = J_j / np.sqrt(1 - b), kick @ kick.T / size
+        fixed += [shrinks(before, after, R, rest) for before, after, R, _ in inside.jumps(inside.J[:0], inside.R)]
+        for J_j, kick in zip(inside.J / np.sqrt(1 - b), kicking, strict=True):
+            kicked = rest + kick @ kick.T / size
             if summed:
-                fixed.append(Bound({0: (-eye / 2, eye)}, rest + kicked))
-            fixed.append(_kept(inside.count - 1, 0, left, self._seen(left), rest if summed else rest + kicked))
+                fixed.append(Bound({0: square(eye, -1.0)}, kicked))
+            fixed.append(shrinks(0, inside.count - 1, J_j, rest if summed else kicked, self._seen(J_j)))
         acting = not (summed or drive.ticks is not None)
         push = _Push(
             clock=inside,
@@ -121,11 +120,7 @@ class TubeProgram:
             a=a * h,
             rest=(a * h if summed and a else 1.0) * rest,
         )
-        found = self.clock.of_few(
-            lambda _: inside.solved(fixed, push.bound, _GAP, W / inside.count),
-            lambda found, segment: push.left(*found, segment),
-            _WORST,
-        )
+        found = inside.solved(fixed, push.bound, push.left, _GAP, W / inside.count, _WORST)
         if found is None:
             return None
         Q, T = found
@@ -143,11 +138,6 @@ class TubeProgram:
     def clock(self) -> ClockedForms:
         """Knots and segments, and which vertices matter, as far as that is known."""
         return looked_for(self.system, self.knots)
-
-    @property
-    def most(self) -> float:
-        """No z falls faster for all vertices, in 1/s: what one does by itself."""
-        return self.clock.most
 
     def alone(self, drive: "Drive", rows: Array, weights: Array, *, a: float, b: float) -> Array:
         """Return the root of about what each d costs by itself, in the loop of the mean of all vertices, (d,)."""
@@ -173,16 +163,16 @@ class TubeProgram:
         return np.asarray(most.max(axis=0))
 
     def _seen(self, J: Array) -> Array:
-        """Return T for which T (Q − J Q Jᵀ) Tᵀ is of one size: most of z is hardly changed by a tick."""
-        U, s, _ = np.linalg.svd(np.eye(len(J)) - J)
-        return np.asarray(U.T / np.sqrt(np.clip(s, self.most * self.clock.period, 1.0))[:, None])
+        """Return X for which Xᵀ (Q − Jᵀ Q J) X is of one size: most of z is hardly changed by a tick."""
+        U, s, _ = np.linalg.svd(np.eye(len(J)) - J.T)
+        return np.asarray(U / np.sqrt(np.clip(s, self.clock.most * self.clock.period, 1.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Push:
     """What is asked of a tube between ticks, in floating point, in periods."""
 
-    clock: ClockedForms  # with a / 2 in F
+    clock: ClockedForms  # in backward time, with a / 2 in F
     g: Array  # what drives z' at the middles, (v, n, d); 0 where nothing does
     q: Array  # what of d the edges see, (v, p, d)
     a: float
@@ -190,35 +180,21 @@ class _Push:
 
     def bound(self, segment: Segment, i: int) -> Bound:
         """Return [D Q + rest + U T Uᵀ, g, Q Vᵀ; ., −a, qᵀ; ., ., −T] ⪯ 0; without q g gᵀ / a stands in the first."""
-        (k, after, e), (n, p), step, clock = segment, self.clock.U.shape[1:], self.clock.step, self.clock
-        seen = self.q.any(axis=(0, 1))
-        more, g, alone = int(seen.sum()), self.g[i][:, seen], self.g[i][:, ~seen]
-        N, C = n + more + p, np.zeros((n + more + p,) * 2)
-        first, own, eye = np.eye(n, N), np.eye(p, N, n + more), np.eye(n)
-        L = {k: eye / 2, after: -eye / 2}
-        L[e] = L[e] + step * clock.F[i]
-        below = {j: step * clock.V[i] if j == e else np.zeros((p, n)) for j in L}
-        terms = {j: (np.vstack([X, np.zeros((more, n)), below[j]]), first) for j, X in L.items()}
-        C[:n, :n] = step * self.rest
-        if self.a:
-            C[:n, :n] += step * alone @ alone.T / self.a
-        C[:n, n : n + more], C[n : n + more, n + more :] = step * g, step * self.q[i][:, seen].T
-        C[n : n + more, n : n + more] = -step * self.a * np.eye(more)
-        C = np.triu(C) + np.triu(C, 1).T
-        U = clock.U[i].T @ first
-        S = step * (U[:, :, None] * U[:, None, :] - own[:, :, None] * own[:, None, :])
-        return Bound(terms, C, None, range(e * p, (e + 1) * p), S)
+        (n, p), seen = self.clock.U.shape[1:], self.q.any(axis=(0, 1))
+        g, alone, more = self.g[i][:, seen], self.g[i][:, ~seen], n + int(seen.sum())
+        T = np.zeros((more + p,) * 2)
+        T[:n, :n] = self.rest + (alone @ alone.T / self.a if self.a else 0.0)
+        T[:n, n:more], T[n:more, more:] = g, self.q[i][:, seen].T
+        T[n:more, n:more] = -self.a * np.eye(more - n)
+        return self.clock.falls(segment, i, self.clock.step * (np.triu(T) + np.triu(T, 1).T))
 
     def left(self, Q: Array, T: Array, segment: Segment) -> Array:
         """Return what is to be positive semidefinite of each box, (v, n, n)."""
-        (k, after, e), clock = segment, self.clock
-        product, seen = clock.F @ Q[e], Q[e] @ clock.V.transpose(0, 2, 1)
-        edges = clock.U * T[e] @ clock.U.transpose(0, 2, 1) + seen / T[e] @ seen.transpose(0, 2, 1)
+        e, clock = segment[2], self.clock
         q = self.q / T[e][:, None]
-        g, left = self.g + seen @ q, self.a * np.eye(self.q.shape[2]) - self.q.transpose(0, 2, 1) @ q
+        g, left = self.g + Q[e] @ clock.U @ q, self.a * np.eye(self.q.shape[2]) - self.q.transpose(0, 2, 1) @ q
         pushed = g @ _inverse(left) @ g.transpose(0, 2, 1) if self.a else 0.0
-        total = product + product.transpose(0, 2, 1) + edges + pushed + self.rest
-        return np.asarray(Q[after] - Q[k] - clock.step * total)
+        return np.asarray(clock.left(Q, T, segment) - clock.step * (pushed + self.rest))
 
 
 def _scaled(columns: Sequence[BallMatrix], sizes: Sequence[float]) -> BallMatrix:
@@ -230,11 +206,6 @@ def _inverse(X: Array) -> Array:
     """Return inverses of symmetric matrices, very large ones of those that are not positive definite."""
     values, V = np.linalg.eigh(X)
     return np.asarray(V / np.maximum(values, 1e-300)[:, None, :] @ V.transpose(0, 2, 1))
-
-
-def _kept(before: int, after: int, J: Array, T: Array, above: Array) -> Bound:
-    """Return T (J Q_before Jᵀ + above − Q_after) Tᵀ ⪯ 0."""
-    return Bound({before: (T @ J / 2, (T @ J).T), after: (-T / 2, T.T)}, T @ above @ T.T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,45 +335,33 @@ def contains(
     summed: bool = False,
 ) -> bool:
     """Say whether Q satisfy the inequalities, decided in fractions, for everything in the balls; a, b as they print."""
-    parts, pushes, ticks = knots_of(system, Q, T), a and not summed, driven.ticks
+    backward, ticks, share = system.backward, driven.ticks, Fraction(repr(b))
+    parts = knots_of(backward, Q[::-1], T[::-1])
     if parts is None:
         return False
-    (first, _), (last, _), share = parts[0][0], parts[-1][-1], Fraction(repr(b))
-    ends, after_ticks = list[Rational](), [first.P] * len(system.J)
-    if ticks is not None and not summed:
-        after_ticks = [first.P - form_above(g, identity(g.shape[1]) * number(1 / share), first.scale) for g in ticks]
-    for J, left in zip(system.J, after_ticks, strict=True):
-        ends.append(shrunk(J.transpose(), (last.P * number(1 / (1 - share)), last.scale), (left, first.scale)))
-    for (*_, (before, _)), ((after, _), *_) in pairwise(parts):
-        assert system.between is not None
-        ends.append(shrunk(system.between.transpose(), (before.P, before.scale), (after.P, after.scale)))
-    if not all(map(is_positive_definite, ends)):
-        return False
-    holding = (ticks or driven.held_by(system)) if summed else []
+    ends, holding = list[Rational](), (ticks or driven.held_by(system)) if summed else []
+    for j, (J, before, after) in enumerate(jumps(backward, parts)):  # of the tube, whose time is the other way
+        left, grown = after.P, number(1 / (1 - share * (j < len(system.J))))
+        if ticks is not None and not summed and j < len(ticks):
+            left = left - form_above(ticks[j], identity(ticks[j].shape[1]) * number(1 / share), after.scale)
+        ends.append(shrunk(J, (before.P * grown, before.scale), (left, after.scale)))
     inside = Q[:1] if ticks else Q
-    left = (Q_k.P - form_above(g, identity(g.shape[1]), Q_k.scale) for g in holding for Q_k in inside)
-    if not all(map(is_positive_definite, left)):
+    rest = (Q_k.P - form_above(g, identity(g.shape[1]), Q_k.scale) for g in holding for Q_k in inside)
+    if not (all(map(is_positive_definite, ends)) and all(map(is_positive_definite, rest))):
         return False
-    for rise, Q_e, T_e in rises(system, parts):
-        for F, U, V in system.boxes:
-            seen = BallMatrix(Q_e.P) @ V.transpose()
-            more = scalar(a) * Q_e.P - rise + edges(seen, U, T_e, Q_e.scale)
-            if pushes:
-                pushed = _pushed(F @ driven.held + driven.between, seen, V @ driven.held, T_e, a)
-                if pushed is None:
-                    return False
-                more += form_above(*pushed, Q_e.scale)
-            if not is_positive_definite(left_side(F, Q_e) - more):
-                return False
+    boxes = () if summed or not a else system.boxes
+    pushes = [(F @ driven.held + driven.between, V, V @ driven.held) for F, _, V in boxes]
+    for slack, Q_e, T_e, i in slacks(backward, parts, a):
+        pushed = _pushed(*pushes[i], Q_e, T_e, a) if pushes else slack * 0
+        if pushed is None or not is_positive_definite(slack - pushed):
+            return False
     return True
 
 
-def _pushed(
-    g: BallMatrix, seen: BallMatrix, q: BallMatrix, T: Sequence[float], a: float
-) -> tuple[BallMatrix, Rational] | None:
-    """Return g + Q Vᵀ T⁻¹ q and (a I − qᵀ T⁻¹ q)⁻¹; None where that is not positive definite."""
+def _pushed(g: BallMatrix, V: BallMatrix, q: BallMatrix, Q: Packed, T: Sequence[float], a: float) -> Rational | None:
+    """Return X (a I − qᵀ T⁻¹ q)⁻¹ Xᵀ, X = g + Q Vᵀ T⁻¹ q, or what is above; None where what is inverted is not ≻ 0."""
     back = diagonal([1 / Fraction(repr(t)) for t in T])
     left = identity(q.shape[1]) * scalar(a) - q.centre.transpose() * back * q.centre
     if not is_positive_definite(left):
         return None
-    return g + seen @ BallMatrix(back * q.centre), left.inv()
+    return form_above(g + BallMatrix(Q.P) @ V.transpose() @ BallMatrix(back * q.centre), left.inv(), Q.scale)

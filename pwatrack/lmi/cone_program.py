@@ -67,16 +67,14 @@ def _by_cvxopt(cost: Array, blocks: Sequence[Block]) -> Array | None:
     return None if found["x"] is None else np.array(found["x"]).ravel()
 
 
-def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any], gap: float = 1e-8) -> Any:
+def minimise(cost: Array, G: Any, h: Array, cones: Sequence[Any]) -> Any:
     """Return Clarabel's answer, whatever its status; G is sparse, by columns, and the cones are Clarabel's.
 
-    The gap is the share of the objective that may be missed. Raises ArithmeticError if a number is not finite, or the
-    library fails.
+    Raises ArithmeticError if a number is not finite, or the library fails.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
-    settings.tol_gap_rel = gap
     if not (np.isfinite(cost).all() and np.isfinite(G.data).all() and np.isfinite(h).all()):
         raise ArithmeticError("a coefficient is not finite")
     nothing, answer = sparse.csc_matrix((len(cost), len(cost))), None

@@ -16,15 +16,16 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh, solve_triangular
+from scipy.linalg import solve_triangular
 
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
+from pwatrack.lmi.chain_map import Bound, ChainMap, square
 from pwatrack.lmi.exact import Packed, left_side
 from pwatrack.lmi.inequality import lyapunov, weighted
 from pwatrack.lmi.norm import sizes_in, square_above
-from pwatrack.lmi.program import SemidefiniteProgram, least_sizes, of_P
-from pwatrack.lmi.solve import solve
+from pwatrack.lmi.program import least_sizes
+from pwatrack.lmi.solve import least, solve
 from pwatrack.rational import floats, is_positive_definite, scalar
 
 _FIRST, _STEP, _FURTHEST = -0.2, 1.5, 4.0  # log(a / (most − a)): where it starts, how far it goes
@@ -36,9 +37,8 @@ _FLAT = 1e-24  # of the largest square: what is smaller does not count
 _LASTING = 0.02  # of the fastest decay: what an ellipsoid of a start may decay with, so that it is small
 _SHARES = (0.0, 1e-6, 1e-3, 0.1, 0.5)  # of a Q far inside that is mixed in, until the inequality is proved
 _DECAY = 0.02  # of the rate of the Q that is started from: what Q gives up so that the inequality is strict
-WEIGHINGS = 3  # times that the weights of the directions are chosen anew
 _LEAST_WEIGHT = 1e-4  # of a direction
-_SCALE_NEAR = 1e-3  # what the scale of one around a box may be off
+_SCALE_NEAR = 1e-6  # what the square of the scale of one around a box may be off
 _ROOM = (1e-9, 1e-7, 1e-5, 1e-3)  # by which Q is enlarged, until it is proved
 _BOX_SHARES = (0.0, 1e-3, 0.1)  # of the Q to start from that are mixed in there, until it is proved
 
@@ -272,25 +272,40 @@ def held(M: Sequence[BallMatrix], G: Array, forms: BallMatrix, most: Array, inne
         >>> 6.0 <= found.sizes[0] < 6.001
         True
     """
-    acts = np.flatnonzero(G.any(axis=0))
-    rows = forms.floats / most[:, None]
-    if not len(acts) or not rows.any():
+    acts, rows = np.flatnonzero(G.any(axis=0)), forms.floats / most[:, None]
+    near = inner.near(np.array([M_p.floats for M_p in M])) if len(acts) and rows.any() else None
+    if near is None:
         return None
-    matrices, best, least = np.array([M_p.floats for M_p in M]), None, np.inf
-    weights = np.full(len(acts), 1 / len(acts))
-    for _ in range(WEIGHINGS):
-        Q = _smallest_around(matrices, G[:, acts], rows, inner, weights)
-        if Q is None:
-            break
-        largest = float(np.einsum("sj,jk,sk->s", rows, Q, rows).max())
-        if not largest < least:
-            break
-        best, least = (Q, weights), largest
-        weights = weighed(G[:, acts], Q)
-    if best is None:
+    (V, inside), speed = near, inner.most / 2
+    starts = solve_triangular(V, G[:, acts], lower=True)
+    size = float(np.linalg.norm(starts, 2))
+    found = _inverse_around(inside / speed + _DECAY * np.eye(len(V)), starts / size, rows @ V)
+    if found is None:
         return None
-    proved = around_starts(M, G, forms, best[1], _enlarged(best[0], inner.Q))
+    P, weights = found
+    Q = size**2 * V @ np.linalg.inv(P) @ V.T
+    proved = around_starts(M, G, forms, weights, _enlarged(Q, inner.Q))
     return None if proved is None else StartEllipsoid(**proved)
+
+
+def _inverse_around(M: Array, G: Array, rows: Array) -> tuple[Array, Array] | None:
+    """Return P and weights w, Gᵀ P G ⪯ diag(w), Σ w ≤ 1, with the least of the largest c P⁻¹ cᵀ, in floating point.
+
+    All numbers are about 1: maximise t subject to M_pᵀ P + P M_p ⪯ 0 for all cells, P ⪰ t cᵀ c, 1e-6 I ⪯ P ⪯ 1e6 I.
+    """
+    eye, k = np.eye(M.shape[1]), G.shape[1]
+    nothing, unit = np.zeros_like(eye), np.eye(k)
+    rows = rows[rows.any(axis=1)] / float(np.linalg.norm(rows, axis=1).max())
+    bounds = [Bound({0: (M_p.T, eye)}, nothing) for M_p in M]
+    bounds += [Bound({0: square(eye, -1.0)}, np.outer(row, row)) for row in rows]
+    bounds += [Bound({0: square(1e-3 * eye)}, nothing, -eye), Bound({0: square(eye, -1.0)}, nothing, 1e-6 * eye)]
+    bounds.append(Bound({0: square(G)}, 0 * unit, None, range(k), -unit[:, :, None] * unit[:, None]))
+    bounds.append(Bound({}, np.zeros((1, 1)), -np.eye(1), range(k), np.ones((k, 1, 1))))
+    chain = ChainMap(bounds, 1, None, k)
+    v = least(chain, gap=_SCALE_NEAR)
+    if v is None or not v[-1] > 0 or not np.linalg.eigvalsh(chain.matrices(v)[0])[0] > 0:
+        return None
+    return chain.matrices(v)[0], np.maximum(chain.scalars(v), 0.0)
 
 
 def around_starts(
@@ -316,45 +331,3 @@ def _enlarged(Q: Array, far: Array) -> Iterator[Array]:
     for share, room in product(_BOX_SHARES, _ROOM):
         shape = (1 - share) * Q + share * float(np.trace(Q) / np.trace(far)) * far
         yield (shape + shape.T) / 2 * float(1 + 1e-5 + room + 2 * share)
-
-
-def weighed(G: Array, Q: Array) -> Array:
-    """Return the weights (k,) with which G diag(1 / w) Gᵀ is more like Q: by what each direction needs of it.
-
-    Example: along the longer axis of Q there is more room.
-
-        >>> weighed(np.eye(2), np.diag([1.0, 3.0])).tolist()
-        [0.75, 0.25]
-    """
-    needed = np.abs(G.T @ np.linalg.solve(Q, G)).sum(axis=1)
-    weights = np.maximum(needed / needed.sum(), _LEAST_WEIGHT)
-    return np.asarray(weights / weights.sum())
-
-
-def _smallest_around(M: Array, G: Array, rows: Array, inner: Inner, weights: Array) -> Array | None:
-    """Return Q ⪰ G diag(1 / w) Gᵀ with the least of the largest c Q cᵀ, in floating point.
-
-    In coordinates where the Q to start from is I, and in the unit of time most / 2, so that numbers are about 1:
-    maximise t subject to F_i(P) ⪯ 0 for all cells, P ⪰ t Σ, P ⪯ 1e6 I and c P cᵀ ≤ 1. What starts in √t times an
-    ellipsoid, {z: z zᵀ ⪯ Σ}, then has |c z| ≤ 1.
-    """
-    near = inner.near(M)
-    if near is None:
-        return None
-    V, decay, forms = near[0], lyapunov(near[1] / (inner.most / 2), _DECAY), rows @ near[0]
-    directions = solve_triangular(V, G, lower=True) / np.sqrt(weights)
-    starts = directions @ directions.T
-    starts /= float(np.linalg.norm(starts, 2))
-    forms = forms / float(np.linalg.norm(forms, axis=1).max())
-    within = [of_P(decay, 1.0, row[None], constant=-np.eye(1)) for row in forms[forms.any(axis=1)]]
-    eye = np.eye(len(V))
-    bounded = of_P(decay, -1.0, eye, T=starts), of_P(decay, 1.0, 1e-3 * eye, constant=-eye)
-    solution = solve(SemidefiniteProgram(constraints=(decay, *bounded, *within), price=-1.0), gap=_SCALE_NEAR)
-    if solution is None or not solution.t > 0:
-        return None
-    Q, needed = V @ solution.P @ V.T, G / np.sqrt(weights)
-    try:
-        share = float(eigh(needed @ needed.T, Q, eigvals_only=True)[-1])
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    return Q * share

@@ -31,6 +31,7 @@ from pwatrack.rational import (
 _LESS = (1e-9, 1e-6, 1e-3)  # of the rate, given up until a margin is left that rounding does not hide
 RATE_GIVEN = 1e-4  # share of the rate that an exact proof gives up
 GIVEN = (RATE_GIVEN, 1e-3, 1e-2, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)  # likewise, more and more, until it can be proved
+DIGITS = 9  # of a gain, and of what stands for one at limits
 BITS = 40  # of the entries of P or Q, once its diagonal is about 1
 _MORE_BITS = (BITS, 80, 160)  # the same, more where P is so ill-conditioned that fewer do not hold it
 
@@ -239,6 +240,16 @@ def margin_of(slack: Sequence[Rational]) -> float:
     while not all(is_positive_definite(S - scalar(margin) * eye) for S in slack):
         margin = rounded_down(margin / 4, 3)
     return margin
+
+
+def short(X: Array, digits: int = DIGITS) -> Array:
+    """Return a matrix with so many significant digits, none of them −0: what is printed is what is proved and used.
+
+    Example:
+        >>> short(np.array([[-1 / 3, -0.0]])).tolist()
+        [[-0.333333333, 0.0]]
+    """
+    return np.array([[float(f"{v:.{digits - 1}e}") + 0.0 for v in row] for row in X]).reshape(X.shape)
 
 
 def rounded_down(value: float, digits: int) -> float:

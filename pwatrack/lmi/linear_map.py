@@ -114,7 +114,7 @@ class LinearMap:
         elif program.price:
             self.cost[self.main - 1] = program.price
         else:
-            self.cost[: self.P.size] = self.P.row(np.eye(self.n) if program.cost is None else program.cost)
+            self.cost[: self.P.size] = self.P.row(program.slope)
         self.blocks = Blocks([(len(c), c.shape[1]) for c in constants], padded=padded)
         self.constant = self.blocks.of(constants, beside=-1.0 if padded else 0.0)
         self.rows = np.zeros((len(program.equalities), self.size))
@@ -137,21 +137,27 @@ class LinearMap:
 
     def apply(self, v: Array) -> Array:
         """Return A(v): the left-hand sides without their constants."""
-        P, Y, t = self.parts(v)
-        x = np.zeros(self.blocks.size)
-        places = self.blocks.parts(x)
+        return np.asarray(self.apply_all(v[None])[0])
+
+    def apply_all(self, v: Array) -> Array:
+        """Return A(v) of several, (u, size)."""
+        P, t, x = self.P.matrix(v[:, : self.P.size]), v[:, self.main - 1], np.zeros((len(v), self.blocks.size))
+        Y, places = v[:, self.P.size : self.main - 1].reshape(len(v), 1, self.m, self.n), self.blocks.parts(x)
         for side, out in zip(self.sides, places, strict=False):
             if side.L is not None:
-                rows = side.L.reshape(-1, self.n) @ P
-                out += symmetric_part(_times(rows.reshape(side.L.shape), side.R))
+                out += symmetric_part(self._half(side.L, P, side.R))
             if side.M is not None:
                 out += symmetric_part(_times(side.M @ Y, side.N))
             if side.T is not None:
-                out += t * side.T
+                out += t[:, None, None, None] * side.T
         if self.V is not None:
-            places[-1][0, : self.W.n, : self.W.n] = -self.W.matrix(v[self.main :])
-            places[-1][0, self.W.n :, self.W.n :] = -P
+            places[-1][:, 0, : self.W.n, : self.W.n] = -self.W.matrix(v[:, self.main :])
+            places[-1][:, 0, self.W.n :, self.W.n :] = -P
         return x
+
+    def _half(self, L: Array, P: Array, R: Array | None) -> Array:
+        """Return L_i P R_i of several P, (u, l, N, N)."""
+        return _times((L.reshape(-1, self.n) @ P).reshape(len(P), *L.shape), R)
 
     def adjoint(self, z: Array) -> Array:
         """Return A*(Z): its product with v is Σ tr Z_i A_i(v)."""
@@ -314,25 +320,11 @@ class DenseMap(LinearMap):
 
     def __init__(self, program: SemidefiniteProgram) -> None:
         super().__init__(program, padded=True)
-        self.images = np.zeros((self.size, self.blocks.size))
-        cells, order = self.blocks.shapes[0]
-        stack, first, P = self.images.reshape(self.size, cells, order, order), 0, self.P.matrix(np.eye(self.P.size))
-        Y = np.eye(self.m * self.n).reshape(self.m * self.n, 1, self.m, self.n)
-        for side, c in zip(self.sides, program.constraints, strict=True):
-            last, N = first + len(c.constant), c.constant.shape[1]
-            out, first = stack[:, first:last, :N, :N], last
-            if side.L is not None:
-                half = side.L @ P[:, None]
-                both = half if side.R is None else np.einsum("ulij,ljk->ulik", half, side.R)
-                out[: self.P.size] = symmetric_part(both)
-            if side.M is not None:
-                out[self.P.size : self.main - 1] = symmetric_part(_times(side.M @ Y, side.N))
-            if side.T is not None:
-                out[self.main - 1] = side.T
-        if self.V is not None:
-            k = self.W.n
-            stack[: self.P.size, -1, k : k + self.n, k : k + self.n] = -P
-            stack[self.main :, -1, :k, :k] = -self.W.matrix(np.eye(self.W.size))
+        self.images = self.apply_all(np.eye(self.size))
+
+    def _half(self, L: Array, P: Array, R: Array | None) -> Array:
+        rows = L @ P[:, None]
+        return rows if R is None else np.einsum("ulij,ljk->ulik", rows, R)
 
     def apply(self, v: Array) -> Array:
         return np.asarray(v @ self.images)

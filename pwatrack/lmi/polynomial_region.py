@@ -22,6 +22,7 @@ from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix, places
 from pwatrack.lmi.cone_program import symmetric_of
 from pwatrack.lmi.ellipsoid import StartEllipsoid
+from pwatrack.lmi.exact import short as short_decimals
 from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.lmi.polynomial import (
     MOST_ROWS,
@@ -32,7 +33,6 @@ from pwatrack.lmi.polynomial import (
     short,
 )
 from pwatrack.lmi.saturated import Region, SaturatedLoop
-from pwatrack.lmi.saturated import short as short_decimals
 from pwatrack.lmi.solve import Unknowns, minimised
 from pwatrack.rational import decimals, diagonal, floats, is_positive_definite, scalar
 

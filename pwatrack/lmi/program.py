@@ -21,7 +21,7 @@ class SemidefiniteProgram:
     constraints: tuple[Inequality, ...]  # the inequalities, at least one; all have the same P, Y and t
     price: float  # of t: −1 makes it large, 1 small; 0 where t is not what counts
     weight: Array | None = None  # V (k, n) where tr V P⁻¹ Vᵀ is to be small
-    cost: Array | None = None  # W (n, n), symmetric, where tr W P is to be small and W is not I
+    cost: Array | None = None  # W (n, n), symmetric, where tr W P is to be small
     equalities: tuple[tuple[Array, float], ...] = ()  # E (n, n), symmetric, and value of each tr E P = value
 
     def __post_init__(self) -> None:
@@ -61,14 +61,12 @@ class SemidefiniteProgram:
             return self.price * t
         if self.weight is not None:
             return float((self.weight.T * np.linalg.solve(P, self.weight.T)).sum())
-        return float(np.trace(P) if self.cost is None else (self.cost * P).sum())
+        return float((self.slope * P).sum())
 
     @property
     def slope(self) -> Array:
         """The gradient of the objective with respect to P, (n, n), where it is linear, else 0."""
-        if self.price or self.weight is not None:
-            return np.zeros((self.n, self.n))
-        return np.eye(self.n) if self.cost is None else self.cost
+        return np.zeros((self.n, self.n)) if self.cost is None else self.cost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,11 +172,6 @@ def least_condition(inequality: Inequality, unit: Array) -> SemidefiniteProgram:
         ),
         price=-1.0,
     )
-
-
-def least_trace(inequality: Inequality) -> SemidefiniteProgram:
-    """Minimise tr P subject to F_i(P, Y) ⪯ 0 for all cells and P ⪰ 0."""
-    return SemidefiniteProgram(constraints=(inequality, of_P(inequality, -1.0)), price=0.0)
 
 
 def least_sizes(inequality: Inequality, W: Array, above: Array | None = None) -> SemidefiniteProgram:

@@ -27,6 +27,7 @@ from scipy.linalg import solve_triangular
 from pwatrack.arrays import Array, symmetric_part
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.lmi.ellipsoid import Inner, StartEllipsoid, around_starts, enclosure
+from pwatrack.lmi.exact import short
 from pwatrack.lmi.inequality import lyapunov
 from pwatrack.lmi.program import largest_margin
 from pwatrack.lmi.solve import Unknowns, minimised, solve
@@ -35,7 +36,6 @@ MOST_WORK = 300_000  # matrices · order⁴: what a Newton step may cost
 _DECAYS = (1e-3, 1e-5)  # of the speed of the loop: what V falls with at least, so that there is a margin
 _DECAY = 1e-3  # of the speed of the plant, of a gain that is sought: what V falls with at a limit, at least
 _LEAST, _LARGEST = 1e-4, 1e6  # Q, where starts have size 1
-_DIGITS = 9  # of H
 _ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
 
 
@@ -211,14 +211,6 @@ def _largest(
     return None if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0 else found
 
 
-@dataclass(frozen=True)
-class LimitedFound:
-    """An answer: P = Q and Y, (n, n) and (m, n)."""
-
-    P: Array
-    Y: Array
-
-
 @dataclass(frozen=True, kw_only=True)
 class LimitedGain:
     """What is asked: of z' = A_p z + B_p v, or of z⁺ = A_p z + B_p v of a sample where inputs are held."""
@@ -231,8 +223,8 @@ class LimitedGain:
     over: float  # of its room, what K may ask of an input from the starts: at 1 no limit is reached
     held: bool = False
 
-    def cheapest(self, rows: Array) -> LimitedFound | None:
-        """Return the gain of the least worst cost of rows (k, n) of z and of its inputs, with all starts inside."""
+    def cheapest(self, rows: Array) -> tuple[Array, Array] | None:
+        """Return Q and Y of the least worst cost of rows (k, n) of z and of its inputs, with all starts inside."""
         m = self.B.shape[2]
 
         def blocks(x: Unknowns) -> Iterator[Array]:
@@ -244,16 +236,16 @@ class LimitedGain:
                 yield np.block([[corner, seen.transpose(0, 2, 1)], [seen, t * np.eye(len(rows) + m)]])
 
         found = minimised({**self._shapes, "t": ()}, blocks)
-        return None if found is None else LimitedFound(found["Q"], found["Y"])
+        return None if found is None else (found["Q"], found["Y"])
 
-    def farthest(self) -> tuple[LimitedFound, float] | None:
-        """Return a gain for the largest multiple of the starts, and that multiple."""
+    def farthest(self) -> tuple[Array, Array, float] | None:
+        """Return Q and Y for the largest multiple of the starts, and that multiple."""
         bounded = (self.room > 0) & np.isfinite(self.room)
         shapes = {**self._shapes, "t": ()}
         found = minimised(shapes, lambda x: self._common(x, x["t"])) if bounded.any() else None
         if found is None or not found["t"] > 0:
             return None
-        return LimitedFound(found["Q"], found["Y"]), float(1 / np.sqrt(found["t"]))
+        return found["Q"], found["Y"], float(1 / np.sqrt(found["t"]))
 
     @property
     def _shapes(self) -> dict[str, tuple[int, ...]]:
@@ -300,8 +292,3 @@ def _inside(x: Unknowns, starts: Mapping[str, Array]) -> Iterator[Array]:
 def _bounded(Q: Array, row: Array, most: Array) -> Array:
     """Return what says that row Q⁻¹ rowᵀ ≤ most."""
     return np.block([[most[:, None, None], row], [row.transpose(0, 2, 1), Q]])
-
-
-def short(H: Array) -> Array:
-    """Return short decimals."""
-    return np.array([[float(f"{v:.{_DIGITS - 1}e}") + 0.0 for v in row] for row in H]).reshape(H.shape)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pwatrack.arrays import Array
 from pwatrack.lmi import cone_program, primal_dual
+from pwatrack.lmi.chain_map import ChainMap
 from pwatrack.lmi.cone_program import symmetric_of, upper
 from pwatrack.lmi.inequality import Solver
 from pwatrack.lmi.program import SemidefiniteProgram, Solution
@@ -70,6 +71,16 @@ def solve(
 
     other: Solver = "cvxopt" if asked() == "cvxopt" else "clarabel"
     return _by(other, picos_model.solve(program, other))
+
+
+def least(chain: ChainMap, *, gap: float) -> Array | None:
+    """Return v that satisfies the constraints of a map without equalities with nearly the least cost, or None."""
+    found = primal_dual.least(chain, gap=gap) if asked() == "structured" else None
+    if found is not None:
+        return _by("structured", found)
+    (shape,) = chain.blocks.shapes
+    sides = [upper(x.reshape(*shape, -1)) for x in (*map(chain.apply, np.eye(chain.size)), -chain.constant)]
+    return semidefinite(chain.cost, [(block[:-1].T, block[-1]) for block in np.array(sides).transpose(1, 0, 2)])
 
 
 def semidefinite(cost: Array, blocks: Sequence[cone_program.Block]) -> Array | None:

@@ -140,15 +140,7 @@ def _bounded(
     if controller.trajectory.preview is not None:
         return None  # what its residual does is not in these bounds
     given = [k for k, name in enumerate(controller.plant.states) if name in spec.problem.sizes]
-    bounds = deviation_bounds(
-        controller.plant,
-        controller.design,
-        controller.proofs,
-        controller.compensation.X,
-        [way.column for way in ways],
-        output=controller.tracking == "output",
-        states=given,
-    )
+    bounds = deviation_bounds(controller, [way.column for way in ways], given)
     if bounds is None:
         return None
     practical = Practical(
