@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pwatrack.cli_export import Set, exports
+from pwatrack.cli_export import Set, exports, folder
 from pwatrack.report.terminal import console, refusals, refusals_as
 from pwatrack.version import __version__
 
@@ -33,7 +33,7 @@ Certificate = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Run folder.", show_default="runs/<name of the spec>"),
+    typer.Option("--out", parser=folder, metavar="DIR", help="Run folder.", show_default="runs/<name of the spec>"),
 ]
 Plots = Annotated[
     Literal["all", "failed", "none"],
@@ -195,9 +195,9 @@ def batch(
     paths: Annotated[
         list[Path], typer.Argument(metavar="PATH…", help="Specs, and folders of them.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="A run folder for each spec goes in here.")] = Path(
-        "runs"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", parser=folder, metavar="DIR", help="A run folder for each spec goes in here.")
+    ] = Path("runs"),
     pattern: Annotated[
         str | None,
         typer.Option("--glob", metavar="PATTERN", help="What specs are named like.", show_default="*.yaml, *.yml"),
@@ -261,7 +261,9 @@ def sweep(
             show_default="those of 'sweep' in the file",
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", show_default="runs/<name>-sweep")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", parser=folder, metavar="DIR", show_default="runs/<name>-sweep")
+    ] = None,
     parameters: Set = None,
     method: Annotated[Literal["grid", "random", "lhs"], typer.Option(help="Where to look.")] = "grid",
     count: Annotated[int, typer.Option("--points", min=1, help="How often, where it is no grid.")] = 100,
@@ -282,7 +284,8 @@ def sweep(
         folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
         where: Any = {"method": method, "count": count, "seed": seed, "refine": refine}
         how: Any = {"parameters": parameters or (), "simulated": simulated, "jobs": jobs, "scheduler": scheduler}
-        swept(spec_path, ranges or (), folder, **where, **how)
+        code = swept(spec_path, ranges or (), folder, **where, **how)
+    raise typer.Exit(code)
 
 
 @app.command(epilog="Example: pwatrack compare runs/first runs/softer --picture errors.png")
@@ -324,7 +327,9 @@ def verify(
 @app.command(epilog="Example: pwatrack certify runs/two_mass_backlash --out coq")
 def certify(
     path: Certificate,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", parser=folder, metavar="DIR", help="Where it goes.", show_default=False)
+    ],
 ) -> None:
     """Write a certificate as a development for Coq, whose kernel proves the theorem for these gains."""
     with refusals():

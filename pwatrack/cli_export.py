@@ -10,6 +10,14 @@ import typer
 from pwatrack.export.notation import LANGUAGES, Numbers
 from pwatrack.report.terminal import compiling, console, refusals
 
+
+def folder(text: str | Path) -> Path:
+    """Return the folder that an option names; an empty text names none, and is not the current one."""
+    if not str(text):
+        raise typer.BadParameter("no folder is named: '.' is the current one")
+    return Path(text)
+
+
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Replace a parameter; may be repeated."),
@@ -17,7 +25,7 @@ Set = Annotated[
 Exported = Annotated[
     Path, typer.Argument(metavar="RUN|SPEC", help="A run folder, a spec or a controller.json.", show_default=False)
 ]
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.", show_default=False)]
+Folder = Annotated[Path, typer.Option("--out", parser=folder, metavar="DIR", help="Where it goes.", show_default=False)]
 SampleTime = Annotated[float | None, typer.Option("--sample-time", metavar="H", help="In s, instead of the spec's.")]
 Prefix = Annotated[str | None, typer.Option(help="Prefix of all names.", show_default="from the spec's name")]
 Single = Annotated[bool, typer.Option("--float32", help="Compute in single floats.")]

@@ -41,6 +41,7 @@ class ProblemPart(Enum):
 
 
 Subject = tuple[ProblemPart | str | int, ...]
+KEY = -1  # at the end of a path in a file: the key itself, not what stands under it
 
 
 class Way(Enum):

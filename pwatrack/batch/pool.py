@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from math import inf
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.reduction import ForkingPickler
@@ -137,9 +137,7 @@ class Pool(Executor):
         self._timeout, self._memory, self._preload = timeout, memory, tuple(preload)
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["pwatrack.batch.fork_server", *preload])
-        # what is started there is not for Ctrl-C to end; that a process is gone is no end of this one
-        not_ours = signal.SIG_BLOCK, {signal.SIGINT, signal.SIGPIPE}
-        self._threads = ThreadPoolExecutor(jobs, initializer=signal.pthread_sigmask, initargs=not_ours)
+        self._threads = ThreadPoolExecutor(jobs, initializer=_leave_to_owner)
         self._lock = threading.Lock()
         self._idle: list[_Worker] = []
         self._closed = False  # whether what becomes idle ends
@@ -222,6 +220,8 @@ class Pool(Executor):
             own = {name: os.environ.get(name) for name in _PATHS}
             path = [str(Path(__file__).parents[2]), *filter(None, [own["PYTHONPATH"]])]
             os.environ.update({"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path)})
+            resource_tracker.ensure_running()  # which unblocks SIGINT
+            _leave_to_owner()
             try:
                 forkserver.ensure_running()
             finally:
@@ -233,6 +233,11 @@ class Pool(Executor):
         said.close()
         os.set_blocking(errors.fileno(), False)
         return _Worker(process=process, tasks=ours, errors=errors)
+
+
+def _leave_to_owner() -> None:
+    """Keep Ctrl-C from what this thread starts; and that a process is gone is no end of this one."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGPIPE})
 
 
 def serve(

@@ -313,8 +313,8 @@ def swept(
     refine: float | None,
     jobs: int,
     scheduler: str | None,
-) -> None:
-    """Sweep a spec as the command line does, over given ranges or those of the file."""
+) -> int:
+    """Sweep a spec as the command line does, over given ranges or those of the file; return its exit code."""
     fixed = assignments(parameters)
     axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
     if not axes:
@@ -346,3 +346,4 @@ def swept(
     if edges and len(axes) > 1:
         screen.print(f"a kind of proof ends at {len(edges):,} places: boundary.csv has both sides of each")
     screen.print(f"{out}: {', '.join(file.name for file in files)}", soft_wrap=True)
+    return int(ExitCode.BUG if any(point.exit in (None, ExitCode.BUG) for point in points) else ExitCode.DONE)

@@ -117,8 +117,10 @@ def read(path: Path) -> ControllerFile:
     """Return a controller from its file. Raises: as `parsed`, and if it cannot be read."""
     try:
         found = json.loads(regular(path, LARGEST).decode("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise _refused(path, f"it cannot be read: {error}") from None
+    except OSError as error:
+        raise InvalidSpec(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, RecursionError):
+        raise _refused(path, "it is not JSON", "a controller is read from the controller.json of a run") from None
     return parsed(found, path)
 
 

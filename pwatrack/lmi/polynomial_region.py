@@ -330,6 +330,6 @@ def _size(proof: PolynomialProof, h: Array) -> float:
     column = flint.fmpq_mat(len(row), 1, row)
     P, near = floats(proof.P), floats(column)[:, 0]
     about = float(near @ np.linalg.solve(P, near)) ** (1 / proof.degree)
-    tries = (float(f"{about * (1 + above):.12e}") for above in _ABOVE)
+    tries = (float(f"{about * (1 + above):.12e}") for above in _ABOVE if np.isfinite(about))
     square = column * column.transpose()
     return next((s for s in tries if is_positive_definite(proof.P * scalar(s) ** proof.degree - square)), np.inf)

@@ -160,6 +160,8 @@ def run_folder(path: str | Path) -> Iterator[RunFolder]:
         >>> index["verdict"], list(index["files"])
         ('proved', ['gains.json'])
     """
+    if not os.fspath(path):
+        raise InvalidSpec("cannot write to '': no folder is named", subject=None, hint="'.' is the current one")
     path, left = Path(path), _LEFT.get()
     home = path if left is None else Path(gettempdir()) / f"pwatrack-{os.getuid()}"
     with _hidden(home, _STAGE, f"results to {path}", "choose another folder (--out)", folder=True) as stage:

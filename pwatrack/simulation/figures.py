@@ -41,7 +41,8 @@ class Figures:
     largest_input: Mapping[str, float]  # largest size of each input, by name
     mode_changes: int  # how many
     joint_modes: int  # how many there were
-    # how long after t_s each output is within its band of y_∞ for good, in s; infinite where it never is. The band is
+    # how long after t_s each output is within its band of y_∞ for good, in s; infinite where it never is, or was not in
+    # the last tenth of the run, as where it comes and goes. The band is
     # 2 % of the largest |y − y_∞| from t_s on, unless one is given. For an output whose reference does not come to
     # rest: when |y − y_d| is within its band for good, that being 2 % of half the range of y_d.
     settling_time: Mapping[str, float]
@@ -116,6 +117,10 @@ class Move:
         if not self.rests:
             self.start = 0.0
         self.settled = self.start
+
+    def settling(self, last_tenth: float) -> float:
+        """Return how long after its start the output is within its band for good; infinite if it left it in the end."""
+        return self.settled - self.start if self.settled <= max(last_tenth, self.start) else np.inf
 
     @property
     def target(self) -> float:
@@ -282,7 +287,7 @@ class Measuring:
             largest_input=dict(zip(self.inputs, np.maximum(-low, high).tolist(), strict=False)),
             mode_changes=self._changes,
             joint_modes=len(self._visited),
-            settling_time={name: move.settled - move.start for name, move in moves.items()},
+            settling_time={name: move.settling(self._last_tenth) for name, move in moves.items()},
             rise_time={
                 name: move.marks[1] - move.marks[0] if move.marks[1] < np.inf else np.inf
                 for name, move in moves.items()
@@ -303,6 +308,9 @@ class Measuring:
         if not found or not np.isfinite([end for one in found for end in (*one.low, *one.high)]).all():
             return None
         low, high = np.concatenate([one.low for one in found]), np.concatenate([one.high for one in found])
+        m = len(self.inputs)
+        if self.loop is not None and (limits := self.loop.conditions.limits) is not None:  # cut off, so never beyond
+            low[:m], high[:m] = np.maximum(low[:m], limits[:, 0]), np.minimum(high[:m], limits[:, 1])
         return np.array([np.minimum(low, self._range[0]), np.maximum(high, self._range[1])])
 
     def _enclosed(self) -> _Sizes:

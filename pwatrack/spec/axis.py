@@ -14,7 +14,7 @@ from pwatrack.real import Real
 from pwatrack.spec.entries import Exact, Name, Whole, increasing, must, whole
 from pwatrack.spec.section import Context, Fault, Section
 
-_TEXT = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,6})\s*)?")
+_TEXT = re.compile(r"\s*(\w+)\s*=\s*([^:]+):([^:]+)(?::\s*(\d{1,12})\s*)?")
 MOST = 1_000_000  # of a sweep: more than anyone waits for
 _POINTS = 11  # of an axis that says no number: ten steps
 
@@ -55,6 +55,8 @@ def axis(text: str) -> Axis:
     except (ValueError, ZeroDivisionError):
         raise InvalidSpec(f"--sweep {text}: expected NAME=LOW:HIGH:POINTS, such as --sweep k2=0.1:0.9:17") from None
     points = int(found[4] or _POINTS)
+    if points > MOST:
+        raise InvalidSpec(f"--sweep {text}: {points:,} points, at most {MOST:,} are looked at")
     if not low < high or points < 2:
         raise InvalidSpec(f"--sweep {text}: LOW is to be below HIGH, with at least two points")
     return Axis.over(found[1], low, high, points)

@@ -43,6 +43,7 @@ from pwatrack.spec.spec import InitialStates, Measured, Objectives, Scenario, St
 from pwatrack.spec.table import FINEST, Folder, read_table
 from pwatrack.spec.yaml_tree import path_text
 
+_MOST_ROUNDED = 100  # periods of a trapezoid over which its corners are rounded
 _MOST_PERIODS = 10_000  # of a trapezoid in a run: each adds pieces to the signal
 _FASTEST = 1e9  # |λ| times the duration: further on, a phase is no longer known to eight digits
 _AT_ONCE = 1e-12  # of a time: two that differ by less are one, but for rounding
@@ -161,6 +162,9 @@ def _trapezoid(shape: TrapezoidSection, horizon: float, subject: Subject) -> Pro
     if span / period > _MOST_PERIODS:
         message = f": {span / period:.3g} trapezoids until t = {horizon:g} s"
         raise _refused(message, subject, f"at most {_MOST_PERIODS:,} are built; shorten the simulation")
+    if shape.smooth and shape.smooth / period > _MOST_ROUNDED:
+        message = f": smooth: {shape.smooth:g} s rounds over {shape.smooth / period:.3g} periods of {period:g} s"
+        raise _refused(message, subject, f"at most {_MOST_ROUNDED}: little is left of them by far less")
     _check_rounding(shape.smooth, horizon + abs(shape.start), subject)
     for name in ("rise", "fall"):
         _check_fine(f"{name}: {getattr(shape, name):g} s", getattr(shape, name), horizon + abs(shape.start), subject)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import Field, PlainValidator, ValidationError, WithJsonSchema
 
-from pwatrack.errors import Problem, Subject, listed
+from pwatrack.errors import KEY, Problem, Subject, listed
 from pwatrack.model.pwa import ROUNDING
 from pwatrack.spec.axis import SweepSection
 from pwatrack.spec.design_section import DesignSection
@@ -214,7 +214,8 @@ def validation_problems(error: ValidationError, data: Any) -> list[Problem]:
             missing = item["type"] == "missing"
             subject = (*_in_tree(loc[:-1] if missing else loc, data), *(loc[-1:] if missing else ()))
             message = f"{path_text(subject)}{_fault(item, subject, guessed=len(problems) < MOST)}"
-            problems.append(Problem(message=message, subject=subject[:-1] if missing else subject))
+            key = (*subject, KEY) if item["type"] == "extra_forbidden" else subject
+            problems.append(Problem(message=message, subject=subject[:-1] if missing else key))
     return problems or late
 
 

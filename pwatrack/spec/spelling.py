@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pwatrack.errors import Place, Problem, ProblemPart, PwatrackError, Subject, Way
+from pwatrack.errors import KEY, Place, Problem, ProblemPart, PwatrackError, Subject, Way
 from pwatrack.spec.yaml_tree import Arguments
 
 _PATHS: Mapping[ProblemPart, Subject] = {
@@ -85,7 +85,8 @@ def located(refusal: PwatrackError, places: Mapping[Subject, Place]) -> Pwatrack
         if problem.place is None and problem.subject is not None:
             subject = path_of(problem.subject)
             problem = replace(problem, subject=subject)
-            problem = places.said(problem) if isinstance(places, Arguments) else problem
+            if isinstance(places, Arguments):
+                problem = places.said(replace(problem, subject=subject[:-1] if subject[-1:] == (KEY,) else subject))
             while subject and subject not in places:
                 subject = subject[:-1]
             problem = replace(problem, place=places.get(subject))

@@ -62,6 +62,8 @@ def misread(text: str) -> str:
         return "write ** for powers"
     if order := re.search(r"=[<>]", text):
         return f"write {order[0][::-1]} instead of {order[0]}"
+    if (missing := text.count("(") - text.count(")")) > 0:
+        return f"{'a parenthesis is' if missing == 1 else f'{missing} parentheses are'} not closed"
     return _odd_number(text) or _decimal_comma(text) or _missing_operator(text)
 
 

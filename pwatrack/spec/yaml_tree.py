@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import yaml
 from yaml.reader import Reader
 
-from pwatrack.errors import InvalidSpec, Place, Problem, Subject
+from pwatrack.errors import KEY, InvalidSpec, Place, Problem, Subject
 from pwatrack.spec.wording import shown
 
 WRITTEN = "from_python.yaml"  # what a description from Python is called as a file
@@ -121,6 +121,7 @@ class _Events:
         found = dict[str, Any]()
         for key in self._entries():
             name = self._key(key, found)
+            self.places[*path, name, KEY] = self._place(key)
             found[name] = self._node(next(self.events), (*path, name))
         return found
 

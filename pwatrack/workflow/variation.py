@@ -111,8 +111,9 @@ def ensemble(
     samples = sample_count(spec.scenario.duration, spec.scenario.sample_time)
     if over not in _VARIED:
         raise InvalidSpec(f"over = {over!r} is none of {', '.join(_VARIED)}", subject=None)
-    if count < 1 or seed < 0:
-        raise InvalidSpec(f"{count} members and seed {seed}: at least 1 and at least 0 are expected", subject=None)
+    if not all(isinstance(v, int | np.integer) for v in (count, seed)) or count < 1 or seed < 0:
+        message = f"{count!r} members and seed {seed!r}: whole numbers, at least 1 and at least 0, are expected"
+        raise InvalidSpec(message, subject=None)
     if count * samples > _MOST_KEPT:
         message = f"{count:,} members with {samples:,} samples each, at most {_MOST_KEPT:,} samples in all are kept"
         raise InvalidSpec(message, subject=None, hint="fewer members, or a longer sample_time: it moves no event")

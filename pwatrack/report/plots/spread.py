@@ -225,7 +225,9 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
     """Draw where members in a plane start and how they end, and the regions that are proved there."""
     result, plane = many.nominal, list(many.nominal.spec.scenario.plane)
     names = [result.controller.plant.states[k] for k in plane]
-    title = f"Starts in a plane, x̂ = x, all other errors 0: {amount(len(many.outcomes), 'member')}, and what is proved"
+    proved = list(sections(result.controller, result.loop.conditions, plane))
+    title = f"Starts in a plane, x̂ = x, all other errors 0: {amount(len(many.outcomes), 'member')}"
+    title += ", and what is proved" if proved else "; no region in this plane is proved of this loop"
     figure, (axes,) = canvas(result, title, [[0]], height=5.6)
     starts = np.column_stack([many.variation.values[name] for name in names]) - result.response.x_d[0, plane]
     small = np.array(many.small)
@@ -233,7 +235,7 @@ def starts_in_plane(many: EnsembleResult) -> Figure:
         if which.any():
             axes.scatter(starts[which, 0], starts[which, 1], label=said, **style)
     seen = [starts]
-    for said, edge in sections(result.controller, result.loop.conditions, plane):
+    for said, edge in proved:
         axes.plot(*edge.T, label=f"proved: {said}", **_PROVED[said])
         seen.append(edge)
     units = result.spec.problem.units
