@@ -117,3 +117,19 @@ def test_a_spike_at_the_start_does_not_squash_the_rest_of_an_input(specs: Path) 
     assert most > 4 * float(late.max())
     assert inset.get_ylim()[1] < 1.5 * float(late.max())
     assert min(whole.get_ylim()[1], start.get_ylim()[1]) > most  # what is large is in view too
+
+
+@pytest.mark.slow
+def test_a_load_that_steps_is_counted_as_one_that_sets_in_and_is_forgotten(specs: Path, tmp_path: Path) -> None:
+    text = (specs / "gallery" / "payload_in_wind.yaml").read_text(encoding="utf-8")
+    before, _, _ = text.partition("  disturbance:")
+    path = tmp_path / "gust.yaml"
+    path.write_text(f"{before}  disturbance: {{v2: {{constant: 1, step: {{size: 2, at: 5}}}}}}\n", encoding="utf-8")
+    result = simulate(load_spec(path))
+    assert 0.01 < max(held(result).values()) <= 1 + 1e-9
+    band, t = result.bands["output", 0], result.response.t
+    gust = band[t >= 5][0]
+    assert gust > 2 * band[t < 5][-1]
+    assert band[-1] < 0.2 * gust
+    sizes = {bounds.channel: bounds.sizes["output", 0] for bounds in result.controller.bounds}
+    assert band[-1] < 3 * sizes["disturbance", 3]

@@ -142,6 +142,10 @@ class SignalBounds(Claim):
             return {}
         most = from_start(self.acting, self.starts, seen.start, seen.t, states=self.loops.n)
         _with_norms(most, controller, seen)
+        for t, step in seen.steps:  # each is an estimate that is off by it from then on
+            start, since = np.append(np.zeros(2 * self.loops.n), step), np.maximum(seen.t - t, 0.0)
+            more = from_start(self.acting, self.starts, start, since, states=self.loops.n)
+            most = {form: most[form] + np.where(seen.t >= t, more[form], 0.0) for form in most.keys() & more.keys()}
         return with_acting(most, self.acting, seen.acting)
 
 

@@ -64,6 +64,7 @@ class Seen:
     start: Array  # (x − x_d, x̂ − x, ŝ − s) at t = 0, (2 n + p,)
     acting: Mapping[Channel, Array]  # the largest size so far of what disturbs, and of noise at any time, (K,) each
     designed: bool  # whether the loop is the one that was designed, but for disturbances, noise and limits not come to
+    steps: Sequence[tuple[float, Array]] = ()  # when loads step that are no disturbance, and by what, (p,)
     w: Array | None = None  # how large each entry of w is so far, (K, n), where the plant is one of a box
     sampled: bool = False  # whether it is the loop of the program, with the plant of the design, limits not come to
 

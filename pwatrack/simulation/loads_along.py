@@ -33,6 +33,15 @@ def loads_at_start(controller: ProvedController, conditions: Conditions) -> Arra
     return _loads_of(loads, disturbance, disturbance.w0)
 
 
+def steps_of(loads: Loads, disturbance: Exosystem) -> Iterator[tuple[float, Array, Array]]:
+    """Yield when loads that a disturbance is made of step, by what, (k,), and to what; first by s(0), at t = 0."""
+    S, s, last = loads.S.floats, np.zeros(len(loads.S.floats)), 0.0
+    times = np.append(0.0, disturbance.breaks)
+    for t, w in zip(times.tolist(), disturbance.states(times), strict=True):
+        before, s, last = expm(S * (t - last)) @ s, _loads_of(loads, disturbance, w), t
+        yield t, s - before, s
+
+
 @dataclass(frozen=True, kw_only=True)
 class LoadsAlong:
     """Loads s, s' = S s, and what they step by just before a tick."""
@@ -54,19 +63,18 @@ class LoadsAlong:
             return replace(none, rest=disturbance)
         if not disturbance.resets:
             return none
-        s, last = _loads_of(loads, disturbance, disturbance.w0), 0.0
-        start, steps = s, {0: s}
-        times = disturbance.breaks
-        for t, w in zip(times.tolist(), disturbance.states(times), strict=True):
-            before, s, last = expm(S * (t - last)) @ s, _loads_of(loads, disturbance, w), t
+        found = list(steps_of(loads, disturbance))
+        start, s = found[0][1], found[-1][2]
+        steps = {0: start}
+        for t, step, _ in found[1:]:
             tick = ceil((t + gains.jitter / 2) / h - _ON_TICK)  # by then it has stepped, if that is late or not
-            steps[tick] = steps.get(tick, 0.0) + expm(S * (tick * h - t)) @ (s - before)
+            steps[tick] = steps.get(tick, 0.0) + expm(S * (tick * h - t)) @ step
         sizes = np.max([np.abs(s), *(np.abs(step) for step in steps.values())], axis=0)
         whole = {tick: np.where(np.abs(step) > ROUNDING * sizes, step, 0.0) for tick, step in steps.items()}
-        found = replace(none, start=start, steps={tick: step for tick, step in whole.items() if step.any()})
+        along = replace(none, start=start, steps={tick: step for tick, step in whole.items() if step.any()})
         seen = np.zeros((len(disturbance.Q), len(S)))
         seen[:, list(loads.where)] = loads.E.floats[:, loads.where]
-        return replace(found, rest=replace(found.behind(disturbance), Q=np.hstack([disturbance.Q, -seen])))
+        return replace(along, rest=replace(along.behind(disturbance), Q=np.hstack([disturbance.Q, -seen])))
 
     @property
     def none(self) -> "LoadsAlong":

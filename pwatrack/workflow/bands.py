@@ -18,11 +18,12 @@ from pwatrack.simulation.desired import along
 from pwatrack.simulation.enclosure import Enclosing, Segments, enclosed
 from pwatrack.simulation.flow import Mode
 from pwatrack.simulation.layout import Actuator, RateLimit
-from pwatrack.simulation.loads_along import loads_at_start
+from pwatrack.simulation.loads_along import loads_at_start, steps_of
 from pwatrack.simulation.trace import Trace, tenths
 from pwatrack.spec.spec import Spec
 
 SIGMAS = 3.0  # of normal noise: 1 value in 370 is larger
+_MOST_STEPS = 50  # of loads in a run, up to which each is looked at
 _MOST_TOGETHER = 200_000  # rows times pieces: 100 MB while they are bounded
 
 
@@ -49,10 +50,12 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     conditions, controller = loop.conditions, loop.controller
     off_limits = not limited(loop, response)
     free = replace(conditions, limits=None) if off_limits else conditions
+    steps = _steps(controller, conditions)
     seen = Seen(
         t=response.t,
         start=start_of_errors(loop, response),
-        acting=_acting(loop, response),
+        acting=_acting(loop, response, stepping=bool(steps)),
+        steps=steps,
         designed=replace(free, disturbance=None, noise=None).nominal,
         w=w if covered(box, free) else None,
     )
@@ -66,9 +69,13 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
 
 
 def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
-    """Return how large noise, with half of a sensor's step, and each disturbance of a file is, enclosed; no load."""
+    """Return how large noise, with half of a sensor's step, and each disturbance of a file is, enclosed; no load.
+
+    A load that steps is none either: what a step leaves goes to 0.
+    """
     conditions, acting = spec.scenario.conditions.beside(controller.plant.loads), dict[Channel, float]()
-    noise, quanta, disturbance = conditions.noise, conditions.quanta, conditions.disturbance
+    noise, quanta = conditions.noise, conditions.quanta
+    disturbance = None if _steps(controller, conditions) else conditions.disturbance
     sensors = np.zeros(len(controller.plant.C)) if noise is None else SIGMAS * noise.std
     sensors = sensors if quanta is None else sensors + quanta.outputs / 2
     acting |= {("noise", k): float(sensors[k]) for k in np.flatnonzero(sensors).tolist()}
@@ -96,11 +103,20 @@ def start_of_errors(loop: ClosedLoop, first: Response) -> Array:
     return np.concatenate([first.x[0] - first.x_d[0], first.x_hat[0] - first.x[0], s_hat - s])
 
 
-def _acting(loop: ClosedLoop, response: Response) -> dict[Channel, Array]:
+def _steps(controller: ProvedController, conditions: Conditions) -> tuple[tuple[float, Array], ...]:
+    """Return when loads that are estimated step, and by what, where a disturbance is made of such steps, and of few."""
+    loads, disturbance = controller.plant.loads, conditions.disturbance
+    if loads is None or disturbance is None or loads.are(disturbance) or not loads.make(disturbance):
+        return ()
+    steps = tuple((t, step) for t, step, _ in steps_of(loads, disturbance))
+    return steps if len(steps) <= _MOST_STEPS else ()
+
+
+def _acting(loop: ClosedLoop, response: Response, *, stepping: bool) -> dict[Channel, Array]:
     """Return the largest size of each disturbance and noise so far, (K,); what loads make up is none."""
     conditions, at, acting = loop.conditions.beside(loop.controller.plant.loads), loop.at, dict[Channel, Array]()
     disturbance, z = conditions.disturbance, response.trace.z
-    if disturbance is not None:
+    if disturbance is not None and not stepping:
         sizes = np.maximum.accumulate(np.abs(z[:, at.d] @ disturbance.Q.T))
         acting |= {("disturbance", k): sizes[:, k] for k in np.flatnonzero(disturbance.Q.any(axis=1)).tolist()}
     if conditions.noise is not None:
