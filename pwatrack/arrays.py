@@ -28,7 +28,7 @@ def readonly(values: Any) -> Array:
 def alike(one: Array, other: Array) -> bool:
     """Say whether arrays (…, r, c) are what two processors make of one formula, in whatever units rows and columns are.
 
-    Entries differ by `CLOSE` of their size, or of what their row and column have at most, by rounding of their row.
+    Entries differ by `CLOSE` of their size, or of what their row and column have at most.
 
     Example:
         >>> table = np.array([[1.0, 1e-13], [1e9, 1.0]])
@@ -41,7 +41,7 @@ def alike(one: Array, other: Array) -> bool:
     most = size.reshape(-1, *size.shape[-2:]).max(axis=0)
     rows = most.max(axis=1, keepdims=True)
     columns = (most / np.where(rows, rows, 1.0)).max(axis=0, keepdims=True)
-    within = np.maximum(CLOSE * np.maximum(size, rows * columns), 16 * EPS * rows)
+    within = CLOSE * np.maximum(size, rows * columns)
     return bool((np.abs(np.atleast_2d(one) - np.atleast_2d(other)) <= within).all())
 
 

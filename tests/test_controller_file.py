@@ -4,6 +4,7 @@ import csv
 import json
 import random
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import pytest
 
 import pwatrack
 from pwatrack import Controller, Result, design, load_spec, simulate
-from pwatrack.errors import InvalidSpec
+from pwatrack.commands.verify import verify
+from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.export.schema import FORMAT, json_schema
 from pwatrack.export.stored import digest, parsed
 from pwatrack.model.conditions import Sampling
@@ -269,3 +271,48 @@ def test_gains_stand_on_the_controller() -> None:
     controller = pwatrack.design(load_spec(SPECS / "two_mass_paper_gains.yaml"))
     assert controller.K is controller.design.K
     assert controller.L is controller.design.L
+
+
+ODD_UNITS = """
+name: A stage in Gm and nm/s
+system:
+  states: [z, v]
+  inputs: [F]
+  outputs: [y]
+  A: [[0, 1e-18], [0, -4]]
+  B: [[0], [5e8]]
+  C: [[1e9, 0]]
+  nonlinearities: [{name: bumper, kind: spring, of: z, start: 1e-10, slope: 6e10, into: {v: -5e8}}]
+reference: {output: {sine: {amplitude: 0.15, frequency: 1}}}
+simulation: {duration: 5, sample_time: 0.01, initial: {plant: [2e-11, 0]}, controller: {sample_time: 0.01}}
+"""
+CHANGES: dict[str, Callable[[Any], None]] = {
+    "the sign of a small gain": lambda program: program["K"][0].__setitem__(1, -program["K"][0][1]),
+    "a constant of the observer": lambda program: program["observer"][1][0].__setitem__(-1, 1e-11),
+    "what a measurement corrects": lambda program: program["M"][0].__setitem__(0, 1.001 * program["M"][0][0]),
+    "a lower limit": lambda program: program["low"].__setitem__(0, -1.0),
+    "where the reference begins": lambda program: program["inside"]["w0"].__setitem__(0, 7.0),
+    "what is proved": lambda program: program.__setitem__("proved", "errors are 0 after one sample"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampled", [True, False])
+def test_a_program_is_compared_whole_in_whatever_units_it_is(tmp_path: Path, sampled: bool) -> None:
+    """Without a sample time in the spec it is that of an export."""
+    path, run = tmp_path / "odd.yaml", tmp_path / "run"
+    text = ODD_UNITS if sampled else ODD_UNITS.replace(", controller: {sample_time: 0.01}", "")
+    path.write_text(text, encoding="utf-8")
+    if sampled:
+        assert call("design", path, "--out", run).exit_code == 0
+    else:
+        assert call("export", "c", path, "--sample-time", "0.01", "--out", run).exit_code == 0
+    verify(run / "certificate.json", path)
+    file = run / "controller.json"
+    told = file.read_text(encoding="utf-8")
+    for change in CHANGES.values():
+        forged = json.loads(told)
+        change(forged["program"])
+        file.write_text(json.dumps(forged | {"sha256": digest(forged)}), encoding="utf-8")
+        with pytest.raises(CheckFailed, match=r"program in controller\.json is not what was proved"):
+            verify(run / "certificate.json", path)

@@ -29,7 +29,8 @@ def channel_text(
         merged = [merge for claim in controller.claims_of(Practical) for merge in claim.merges]
         return f"what is merged of {merged[k].nonlinearity.name}", ""
     if kind not in ("moved", "nominal"):
-        return words.cause(channel)[1:]
+        _, name, unit = words.cause(channel)
+        return name + " as drawn" * (kind == "noise" and words.conditions.noise is not None), unit
     of = errors.followed if kind == "nominal" else errors.R
     k, late = k % of.shape[0], k >= of.shape[0]
     entries = [(v, name) for v, name in zip(of.texts[k], plant.states, strict=True) if v != "0"]

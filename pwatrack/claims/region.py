@@ -30,6 +30,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Tol
 from pwatrack.control.headroom import Headroom, Starts
 from pwatrack.control.vertices import outermost
 from pwatrack.control.words import Words, down, matrix_text
+from pwatrack.lmi.inequality import CONTROLLER
 from pwatrack.lmi.polynomial_region import region_around
 from pwatrack.lmi.saturated import MOST_WORK, SaturatedLoop
 
@@ -142,10 +143,16 @@ class LimitedRegion(RegionClaim):
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         yield from super().rows(words, controller)
-        smaller, cheaper = _smaller(controller), controller.design.cheaper
-        if smaller is not None and cheaper is not None and self.found and self.left is not None:
+        smaller, cheaper, left = _smaller(controller), controller.design.cheaper, self.left
+        if left is None or not self.found:
+            return
+        if smaller is not None and cheaper is not None:
             much = f"{smaller:.2g} times smaller"
             yield "", f"for that K is {much} in sizes than that of least cost, {matrix_text(cheaper)}"
+        elif (
+            getattr(words.goals[CONTROLLER], "within", None) == "region" and min(p.scale(left) for p in self.found) < 1
+        ):
+            yield "", "K is that of least cost: none was found for which that is proved of more of these starts"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
         """Yield whether errors go to 0 from the start of the run with inputs at their limits, where that is proved."""

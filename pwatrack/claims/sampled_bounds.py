@@ -382,8 +382,10 @@ class SampledBounds(TubeBounds):
                     yield loop.proof, *from_start(controller, asked, errors, acts)
 
     def rows(self, words: Words, controller: ProvedController) -> Iterator[Row]:
-        each = self._acting(words, controller).values()
-        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for name, size, unit in each)
+        each = dict[tuple[str, str], float]()  # of several that have one name the largest
+        for name, size, unit in self._acting(words, controller).values():
+            each[name, unit] = max(size, each.get((name, unit), 0.0))
+        acts = ", ".join(f"{name} up to {up(size)} {unit}".rstrip() for (name, unit), size in each.items())
         ends = ", ".join(words.limits(shown(self.ends_below(controller))))
         off = words.as_designed + words.off_limits
         most = self.from_start or self.from_zero
