@@ -55,6 +55,7 @@ def nonlinearities(name: str, plant: PWASystem, units: Mapping[str, str], x: Arr
     for axes, element, text in zip(panels, elements, texts, strict=True):
         _draw(axes, element, plant, units, x)
         axes.set_title(plain(text), loc="left", fontsize=8, pad=3)
+        axes.locator_params(axis="x", nbins=10 // columns)  # with more, numbers touch each other
     return figure
 
 

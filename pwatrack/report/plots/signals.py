@@ -286,7 +286,7 @@ def tracking_error(result: SimulatedLoop) -> Figure:
     desired = response.tracked_d if kind == "output" else response.x_d
     title = f"Tracking error: at most {result.outcome.final} in the last tenth of the time"
     title += ", at the samples" * ("final_error" in result.figures.sampled)
-    bound = result.bands.get((kind, 0)) if len(names) == 1 else result.tracking_bound
+    bound = _of_norm(result, kind, response.error_sizes, result.tracking_bound)
     figure, panels = _panels(result, title, kind, names, response.tracking_error, desired, response.error_sizes)
     if len(names) == 1:
         _error_lines(panels[0], result, (-1, 1))
@@ -309,7 +309,7 @@ def observer_error(result: SimulatedLoop) -> Figure:
     end = f"{number_text(error[-1], '.2g')} {unit}".rstrip() if error[-1] >= floor else "that of rounding"
     title = f"Observer error: {end} at the end"
     figure, panels = _panels(result, title, "estimate", states, off, x, response.state_sizes)
-    bound = result.bands.get(("estimate", 0)) if len(states) == 1 else result.observer_bound
+    bound = _of_norm(result, "estimate", response.state_sizes, result.observer_bound)
     _magnitude(panels[-1], response.t, error, bound, floor, f"‖x̂ − x‖{f' ({unit})' if unit else ''}")
     mark = LOOK["required"] | {"linestyle": "none", "marker": "_", "markersize": 14}
     for limit in limits(result, "final_observer_error"):
@@ -348,6 +348,18 @@ def _panels(
         label(axes, "", plain(result.spec.problem.units.get(name, "")), t)
     legend(panels[0], columns=4)
     return figure, panels
+
+
+def _of_norm(result: SimulatedLoop, kind: _Kind, sizes: Array, promised: Array | None) -> Array | None:
+    """Return what is proved of the norm of some errors, (K,): what is promised, or what their bands leave of it."""
+    bands = [result.bands.get((kind, k)) for k in range(len(sizes))]
+    known = [band for band in bands if band is not None]
+    if len(known) < len(bands):
+        return None if len(bands) == 1 else promised
+    if len(known) == 1:
+        return known[0]
+    norm: Array = np.linalg.norm([band / size for band, size in zip(known, sizes, strict=True)], axis=0)
+    return norm if promised is None else np.minimum(norm, promised)
 
 
 def _magnitude(axes: Axes, t: Array, size: Array, bound: Array | None, floor: float, name: str) -> None:
