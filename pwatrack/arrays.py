@@ -25,10 +25,10 @@ def readonly(values: Any) -> Array:
     return array
 
 
-def alike(one: Array, other: Array) -> bool:
+def alike(one: Array, other: Array, *, together: bool = False) -> bool:
     """Say whether arrays (…, r, c) are what two processors make of one formula, in whatever units rows and columns are.
 
-    Entries differ by `CLOSE` of their size, or of what their row and column have at most.
+    Entries differ by `CLOSE` of their size, or of what their row and column have at most; `together` of the largest.
 
     Example:
         >>> table = np.array([[1.0, 1e-13], [1e9, 1.0]])
@@ -41,7 +41,7 @@ def alike(one: Array, other: Array) -> bool:
     most = size.reshape(-1, *size.shape[-2:]).max(axis=0)
     rows = most.max(axis=1, keepdims=True)
     columns = (most / np.where(rows, rows, 1.0)).max(axis=0, keepdims=True)
-    within = CLOSE * np.maximum(size, rows * columns)
+    within = CLOSE * (size.max() if together else np.maximum(size, rows * columns))
     return bool((np.abs(np.atleast_2d(one) - np.atleast_2d(other)) <= within).all())
 
 
@@ -97,17 +97,17 @@ def up(value: float) -> str:
     return number_text(rounded_up(value, 3), ".3g")
 
 
-def outward(value: float, side: int, known: float = 0.0) -> str:
-    """Return the end of an interval in four digits: not inside of it, but for what of itself it is known to.
+def outward(value: float, side: int, known: float = 0.0, *, digits: int = 4) -> str:
+    """Return the end of an interval in so many digits: not inside of it, but for what of itself it is known to.
 
     Example:
         >>> outward(1.118034, 1), outward(-1.118034, -1), outward(1 + 1e-9, 1, known=1e-6)
         ('1.119', '-1.119', '1')
     """
-    nearest = number_text(value, ".4g")
+    nearest = number_text(value, f".{digits}g")
     if side * (value - float(nearest)) <= known * abs(value):
         return nearest
-    return number_text(side * rounded_up(side * value, 4), ".4g")
+    return number_text(side * rounded_up(side * value, digits), f".{digits}g")
 
 
 def rounded_up(value: float, digits: int) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Protocol, Self
 
-from pwatrack.arrays import number_text, rounded_up
+from pwatrack.arrays import EPS, outward
 
 _BITS = 128  # of the arithmetic that encloses sines, roots and the like
 _KEPT = 80  # of what it gives: more make exact arithmetic slow, and the 53 of doubles are too few for thin tubes
@@ -200,8 +200,8 @@ class Uncertain:
     @property
     def text(self) -> str:
         """Say what it is."""
-        low, high = rounded_up(float(self.low), 6), -rounded_up(-float(self.high), 6)  # what is said of it is proved
-        return f"{self.name} in [{number_text(low, 'g')}, {number_text(high, 'g')}]"
+        sides = (float(self.low), 1), (float(self.high), -1)  # inward: what is said of it is proved
+        return f"{self.name} in [{', '.join(outward(*end, 8 * EPS, digits=6) for end in sides)}]"
 
 
 Box = tuple[Uncertain, ...]

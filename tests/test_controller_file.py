@@ -228,7 +228,7 @@ def test_an_old_version_is_refused_with_both_named(run: tuple[Path, Result], tmp
         old.write_text(text)
         with pytest.raises(InvalidSpec):
             Controller.load(old)
-    with pytest.raises(InvalidSpec, match="cannot be read"):
+    with pytest.raises(InvalidSpec, match="cannot read"):
         Controller.load(tmp_path / "none.json")
 
 

@@ -169,7 +169,7 @@ def test_every_error_of_a_file_is_reported_in_its_order_with_line_and_column(wri
         ("1/0", "divides by zero"),
         ("[1, 0, 0]", "3 entries, expected 2"),
         ("nam: free", "system.cells[1].name is missing"),
-        ("free", "system.cells[1].nam: unknown key"),
+        ("nam: free", "system.cells[1].nam: unknown key"),
         ("-q/m", "unknown name 'q'"),
         ("print(1)", "unknown function 'print'"),
         ("[0]\nref", "1 entry, expected 2"),
@@ -177,7 +177,7 @@ def test_every_error_of_a_file_is_reported_in_its_order_with_line_and_column(wri
         ("-0.01", "-0.01 is not positive"),
         ("[gap, 0, z]", "3 entries, expected 2"),
         ("z]}\nsolver", "unknown name 'z'"),
-        ("clarabel", "solver: unknown key"),
+        ("solver: clarabel", "solver: unknown key"),
     ]
     found = problems(path)
     assert [at(p) for p in found] == [place(path, part) for part, _ in expected]

@@ -273,10 +273,10 @@ def test_of_a_w_that_took_too_long_to_enclose_nothing_is_said(tmp_path: Path, mo
         (
             "d: 8.8",
             "  noise: {std: {y: 0.0001}, sample_time: 0.05, seed: 1}",
-            "one of them, its loop is not the ideal one; in",
+            "one of them, its loop is not the ideal one; of the ideal loop, in",
         ),
-        ("d: 9.8", "", "this run is not one of them; in the end"),
-        ("m: 2.1", "", "this run is not one of them; in the end"),
+        ("d: 9.8", "", "this run is not one of them; of the ideal loop, in the end"),
+        ("m: 2.1", "", "this run is not one of them; of the ideal loop, in the end"),
     ],
 )
 def test_it_is_said_whether_plant_and_loop_are_those_of_the_bounds(

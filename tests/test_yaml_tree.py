@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pwatrack.errors import InvalidSpec
+from pwatrack.errors import KEY, InvalidSpec
 from pwatrack.spec.yaml_tree import parse_yaml
 
 
@@ -33,7 +33,9 @@ def test_an_empty_value_is_an_empty_text() -> None:
 
 def test_every_value_has_its_place_counted_in_characters() -> None:
     places = parse_yaml("ä: {'ö': ü, b: [1, x]}\nc:\n  - d: 2\n", "f.yaml").places
-    found = {path: (place.line, place.column) for path, place in places.items()}
+    found = {path: (place.line, place.column) for path, place in places.items() if path[-1:] != (KEY,)}
+    keys = {path[:-1]: (place.line, place.column) for path, place in places.items() if path[-1:] == (KEY,)}
+    assert keys == {("ä",): (1, 1), ("ä", "ö"): (1, 5), ("ä", "b"): (1, 13), ("c",): (2, 1), ("c", 0, "d"): (3, 5)}
     assert found == {
         (): (1, 1),
         ("ä",): (1, 4),

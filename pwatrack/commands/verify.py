@@ -49,6 +49,9 @@ _ALONE = [  # of run.json, what no proof decides: what was simulated or found on
 _PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exact_tracking",)}  # that have such keys
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}
 _WORDS |= {"set_points": "the intervals that set-points take are"}
+_PLAYED = (
+    ": x_d is played back, and another processor may have worked it out in other steps: verify it where it was made"
+)
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 
 
@@ -215,7 +218,8 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
         if run is not None and bool(run.get("exit")) != bool(known.get("failed")):
             faults.append(f"{INDEX} ends with exit {run.get('exit')}, which is not what 'failed' in {CONTROLLER} says")
         again = made.controller | {"sha256": digest(known), "failed": known.get("failed")}
-        _compare(CONTROLLER, folder, again, said, faults, ["failed"] * (run is None))
+        played = controller.trajectory.preview is not None
+        _compare(CONTROLLER, folder, again, said, faults, ["failed"] * (run is None), why=_PLAYED * played)
     _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
 
 
@@ -228,6 +232,7 @@ def _compare(
     alone: Collection[str] = (),
     *,
     exactly: bool = False,
+    why: str = "",
 ) -> None:
     """Compare a file with what was made again, but for keys that it alone tells; which ones, is said."""
     told = _json(folder / name)
@@ -240,7 +245,9 @@ def _compare(
             left += [f"{key}.{one}" for one in told[key] if one in own]
             told[key], made[key] = _without(told[key], own), _without(made[key], own)
     wrong = _different(told, made, exactly=exactly)
-    faults += [f"{', '.join(wrong)} in {name} is not what was proved"] * bool(wrong)
+    faults += [f"{', '.join(wrong)} in {name} is not what was {'made again here' if why else 'proved'}{why}"] * bool(
+        wrong
+    )
     said.append(f"{name} beside it tells the same{', but for what it alone tells: ' * bool(left)}{', '.join(left)}")
 
 

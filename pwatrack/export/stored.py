@@ -32,6 +32,7 @@ _LOOKED = "not proved for switching between cells"
 _SAME = ("tracking", "K", "L", "plant", "trajectory", "program")  # that two files of one controller have in common
 _FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
 _SAID = ("program.proved ", "program.outside.takes ")  # what is said of a program, and runs nothing
+_SOLVED = "start."  # what is a solution of equations: an entry that is 0 is so to rounding of the others
 _MOST_SHOWN = 60  # characters of what differs
 
 
@@ -117,10 +118,10 @@ def read(path: Path) -> ControllerFile:
     """Return a controller from its file. Raises: as `parsed`, and if it cannot be read."""
     try:
         found = json.loads(regular(path, LARGEST).decode("utf-8"))
-    except OSError as error:
-        raise InvalidSpec(f"cannot read {path}: {error.strerror or error}") from None
-    except (ValueError, RecursionError):
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
         raise _refused(path, "it is not JSON", "a controller is read from the controller.json of a run") from None
+    except (OSError, ValueError) as error:
+        raise InvalidSpec(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
     return parsed(found, path)
 
 
@@ -358,7 +359,8 @@ def differing(told: Any, made: Any, place: str) -> Iterator[str]:
             else:
                 yield f"{place}.{key} is {'missing' if key in made else 'there'}"
     elif one is not None and other is not None:
-        yield from () if alike(one, other) else (f"{place} is {_shown(told)}, not {_shown(made)}",)
+        same = alike(one, other, together=place.startswith(_SOLVED))
+        yield from () if same else (f"{place} is {_shown(told)}, not {_shown(made)}",)
     elif isinstance(told, list) and isinstance(made, list) and len(told) == len(made):
         for k, both in enumerate(zip(told, made, strict=True)):
             yield from differing(*both, f"{place}.{k}")

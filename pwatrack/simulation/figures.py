@@ -41,8 +41,8 @@ class Figures:
     largest_input: Mapping[str, float]  # largest size of each input, by name
     mode_changes: int  # how many
     joint_modes: int  # how many there were
-    # how long after t_s each output is within its band of y_∞ for good, in s; infinite where it never is, or was not in
-    # the last tenth of the run, as where it comes and goes. The band is
+    # how long after t_s each output is within its band of y_∞ for good, in s; infinite where it never is, or left it
+    # again in the last tenth of the run, as where it comes and goes. The band is
     # 2 % of the largest |y − y_∞| from t_s on, unless one is given. For an output whose reference does not come to
     # rest: when |y − y_d| is within its band for good, that being 2 % of half the range of y_d.
     settling_time: Mapping[str, float]
@@ -85,6 +85,8 @@ class Move:
     rests: bool = False  # for good
     settled: float = 0.0  # since when the output is within its band; infinite where it is not
     marks: tuple[float, float] = (np.inf, np.inf)  # when 10 % and 90 % of the way were reached
+    left: float = -np.inf  # when the output left its band last
+    _inside: bool = False  # whether it was in it before
     _before: tuple[float, float, float, bool] | None = None  # last time, output and reference, and whether that changed
     _range: tuple[float, float] = (np.inf, -np.inf)  # of the reference
     _size: float = 0.0  # of output and reference
@@ -119,8 +121,8 @@ class Move:
         self.settled = self.start
 
     def settling(self, last_tenth: float) -> float:
-        """Return how long after its start the output is within its band for good; infinite if it left it in the end."""
-        return self.settled - self.start if self.settled <= max(last_tenth, self.start) else np.inf
+        """Return how long after its start the output is within its band for good; infinite if it left it late."""
+        return self.settled - self.start if self.left <= last_tenth else np.inf
 
     @property
     def target(self) -> float:
@@ -152,11 +154,14 @@ class Move:
         """Find times among the next samples, once all of them were seen."""
         counts = t >= self.start
         away = counts & (np.abs(y - (self.target if self.rests else y_d)) > self.band)
-        leaves = np.flatnonzero(away)
-        if len(leaves):
-            self.settled = float(np.append(t, np.inf)[leaves[-1] + 1])
+        outside = np.flatnonzero(away)
+        if len(outside):
+            self.settled = float(np.append(t, np.inf)[outside[-1] + 1])
         elif self.settled == np.inf:
             self.settled = float(t[0])
+        inside = counts & ~away
+        leaves = np.flatnonzero(away & np.append(self._inside, inside[:-1]))
+        self.left, self._inside = float(t[leaves[-1]]) if len(leaves) else self.left, bool(inside[-1])
         if self.distance:
             way = (y - self.origin) / self.distance
             found = (float(np.append(t[counts & (way >= share)], np.inf)[0]) for share in _RISES)
