@@ -279,7 +279,7 @@ WRONG_KIND = [
     ("duration: 2", "duration: 0"),
     ("duration: 2", "duration: [2]"),
     ("sample_time: 0.01", "sample_time: 3"),
-    ("reference:\n", "refrence:\n"),
+    ("reference:", "refrence:"),
     ("name: Mass", "title: Mass"),
     ("outputs: [y]", "outputs: [z]"),
     ("outputs: [y]", "outputs: [k]"),
