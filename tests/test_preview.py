@@ -22,13 +22,15 @@ from pwatrack.claims.decay import sentences
 from pwatrack.claims.robust import Robust
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.stable_inversion import StableInversion
+from pwatrack.commands.verify import verify
 from pwatrack.control import generator as generator_module
 from pwatrack.control.bounds import Form
 from pwatrack.control.compensation import beside_given
 from pwatrack.control.generator import trajectory_generator
 from pwatrack.control.sampled_disturbances import ROUNDING
 from pwatrack.control.trajectory import DesiredTrajectory, output_trajectory
-from pwatrack.errors import Infeasible, OutsideTheory, Undecided
+from pwatrack.errors import CheckFailed, Infeasible, OutsideTheory, Undecided
+from pwatrack.export.stored import digest
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.dichotomy import prove_dichotomy, refute_dichotomy
 from pwatrack.lmi.inequality import GENERATOR
@@ -39,11 +41,13 @@ from pwatrack.model.pwa import PWASystem
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
 from pwatrack.report.certificate import design_certificate, refusal_certificate
+from pwatrack.report.files import write_design
 from pwatrack.report.parameters import box_figures
 from pwatrack.report.screen import Findings
 from pwatrack.report.summary import print_all
 from pwatrack.simulation import stable_inversion as preview_module
 from pwatrack.simulation.acting import acting
+from pwatrack.simulation.curve import told_pieces
 from pwatrack.simulation.stable_inversion import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.how_far import how_far
@@ -637,3 +641,35 @@ def test_where_nothing_drives_an_unstable_mode_it_rests_at_0_and_no_gain_is_foun
     spec = problem(arrays, reference="sin(t)", simulation={"duration": 10, "sample_time": 0.1})
     with pytest.raises(Infeasible, match=r"no gain moves the eigenvalue 1"):
         design(spec)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["flexible_arm", "cart_and_pole_on_the_move"])
+def test_what_another_processor_worked_out_in_other_steps_is_verified_as_it_is_told(
+    specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    spec = load_spec(specs / "gallery" / f"{name}.yaml")
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(preview_module, "FITTED", 1e-11)
+        run = write_design(spec, design(spec), tmp_path / "run")
+    told = "controller.json beside it plays back another x_d than is worked out here"
+    assert any(said.startswith(told) for said in verify(run))
+    file = run / "controller.json"
+    forged = json.loads(file.read_text(encoding="utf-8"))
+    pieces = forged["trajectory"]["reference"]["pieces"]
+    pieces[-1]["w"][0] += 1e-3 * max(abs(v) for piece in pieces for v in piece["w"][:1])
+    file.write_text(json.dumps(forged | {"sha256": digest(forged)}), encoding="utf-8")
+    with pytest.raises(CheckFailed, match=r"claims.* in controller\.json is not what was proved"):
+        verify(run)
+
+
+def test_what_is_told_to_be_played_back_is_a_curve() -> None:
+    told = {"S": [[0.0, 1.0], [0.0, 0.0]], "Q": [[1.0, 0.0]], "w0": [2.0, 3.0]}
+    then = [{"t": 1.0, "start": 0, "w": [5.0, 4.0]}]
+    found = told_pieces(told | {"pieces": then}, 0, None, 3.0)
+    assert found.start.tolist() == [0.0, 1.0]
+    assert found.length.tolist() == [1.0, 2.0]
+    assert found.c[:, 0, :3].tolist() == [[2.0, 3.0, 0.0], [5.0, 4.0, 0.0]]
+    for wrong in ([], [{"t": 4.0, "start": 0, "w": [5.0, 4.0]}], [{"t": 1.0, "start": 0, "w": [5.0]}], [{"t": 1.0}]):
+        with pytest.raises(ValueError, match=r"played back|broadcast|reshape"):
+            told_pieces(told | {"pieces": wrong, "w0": [2.0, 3.0] if wrong else []}, 0, None, 3.0)

@@ -234,7 +234,8 @@ def _stored(path: Path, given: bool) -> Subject:
     if spec is not None:
         again = with_gains(spec, file)
         if told:
-            controller = told_design(spec, certificate_content(text.decode()))
+            reference = file.trajectory.reference.model_dump()
+            controller = told_design(spec, certificate_content(text.decode()), reference)
         else:
             controller = pipeline.design(again, growing=True)
         again, runs = check_same(again, controller, file)

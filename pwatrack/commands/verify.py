@@ -21,7 +21,7 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.synthesis import Gains
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.export.schema import Sampled
-from pwatrack.export.stored import LARGEST, differing, digest
+from pwatrack.export.stored import LARGEST, differing, digest, lists_of
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed
@@ -50,7 +50,8 @@ _PARTLY = {"figures": SIMULATED, "uncertain": ("along_x_d",), "practical": ("exa
 _WORDS = {"uncertain": "the uncertain parameters are", "limits": "the starts from which limits are kept are"}
 _WORDS |= {"set_points": "the intervals that set-points take are"}
 _PLAYED = (
-    ": x_d is played back, and another processor may have worked it out in other steps: verify it where it was made"
+    f"{CONTROLLER} beside it plays back another x_d than is worked out here, as other processors do: what that leaves "
+    "was enclosed again"
 )
 _NOT_TOLD = cast(Any, None)  # what exact proofs were made from: no file has it, and nothing is written from it
 
@@ -103,12 +104,15 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     return said
 
 
-def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
-    """Return the design that an audited certificate tells, or raise ValueError where it does not fit the spec."""
+def told_design(spec: Spec, content: dict[str, Any], played: dict[str, Any] | None = None) -> ProvedController:
+    """Return the design that an audited certificate tells, or raise ValueError where it does not fit the spec.
+
+    What is played back may be told too, see `desired_trajectory`: what it leaves is enclosed anew then.
+    """
     true = spec.problem.plant
     spec = _merged_as_told(spec, content)
     form = output_form(spec, content["generator"]["directions"]) if content["generator"] else None
-    trajectory = desired_trajectory(spec, True, form)
+    trajectory = desired_trajectory(spec, True, form, played)
     generator = trajectory.generator
     plant = spec.problem.plant if generator is None else generator.form.plant
     proofs = read_proofs(content)
@@ -204,6 +208,11 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
         spec = replace(spec, scenario=replace(spec.scenario, conditions=conditions))
     try:
         controller = told_design(spec, content)
+        if controller.trajectory.preview is not None and known is not None:
+            told = known["trajectory"]["reference"]
+            if any(differing(told, lists_of(controller.trajectory)["reference"], "reference")):
+                controller = told_design(spec, content, told)
+                said.append(_PLAYED)
     except PwatrackError as refusal:
         faults += [f"{spec.path} is refused: {problem.message}" for problem in refusal.problems]
         return
@@ -218,8 +227,7 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
         if run is not None and bool(run.get("exit")) != bool(known.get("failed")):
             faults.append(f"{INDEX} ends with exit {run.get('exit')}, which is not what 'failed' in {CONTROLLER} says")
         again = made.controller | {"sha256": digest(known), "failed": known.get("failed")}
-        played = controller.trajectory.preview is not None
-        _compare(CONTROLLER, folder, again, said, faults, ["failed"] * (run is None), why=_PLAYED * played)
+        _compare(CONTROLLER, folder, again, said, faults, ["failed"] * (run is None))
     _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
 
 
@@ -232,7 +240,6 @@ def _compare(
     alone: Collection[str] = (),
     *,
     exactly: bool = False,
-    why: str = "",
 ) -> None:
     """Compare a file with what was made again, but for keys that it alone tells; which ones, is said."""
     told = _json(folder / name)
@@ -245,9 +252,7 @@ def _compare(
             left += [f"{key}.{one}" for one in told[key] if one in own]
             told[key], made[key] = _without(told[key], own), _without(made[key], own)
     wrong = _different(told, made, exactly=exactly)
-    faults += [f"{', '.join(wrong)} in {name} is not what was {'made again here' if why else 'proved'}{why}"] * bool(
-        wrong
-    )
+    faults += [f"{', '.join(wrong)} in {name} is not what was proved"] * bool(wrong)
     said.append(f"{name} beside it tells the same{', but for what it alone tells: ' * bool(left)}{', '.join(left)}")
 
 

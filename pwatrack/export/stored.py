@@ -66,7 +66,7 @@ def content(
         "K": controller.design.K.tolist(),
         "L": controller.design.L.tolist(),
         "generator": generator,
-        "trajectory": _trajectory(trajectory),
+        "trajectory": lists_of(trajectory),
         "start": start,
         "program": None if conditions.sampling is None else sampled(controller, conditions),
     }
@@ -285,7 +285,8 @@ def loads_content(loads: Loads, added: Compensation) -> dict[str, Any]:
     }
 
 
-def _trajectory(trajectory: DesiredTrajectory) -> dict[str, Any]:
+def lists_of(trajectory: DesiredTrajectory) -> dict[str, Any]:
+    """Return what is said of a desired trajectory."""
     system = trajectory.exosystem
     pieces = [
         {"t": t, "start": resets.where.start, "w": w}

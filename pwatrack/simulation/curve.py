@@ -7,10 +7,10 @@ short that its ends are one time in floating point, or the guard is within round
 in either cell, and the residual is enclosed in both. No stay beyond a facet is missed, however short.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import comb
-from typing import TypeVar
+from math import comb, factorial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
@@ -198,6 +198,39 @@ def fitted(seen: Array, span: Array) -> tuple[Array, Array]:
 def _through(known: Array, span: Array) -> Array:
     powers = (_POWERS @ (_SERIES @ known)).transpose(0, 2, 1)
     return np.asarray(powers / span[:, None, None] ** np.arange(DEGREE + 1))
+
+
+def told_pieces(told: Mapping[str, Any], first: int, turn: float | None, until: float) -> Pieces:
+    """Return the polynomials of one turn of a curve that is played back, as controller.json has it; ValueError if none.
+
+    Args:
+        told: Its reference: that of the trajectory, with so many states `first`, and behind it a chain for each η.
+        first: As said.
+        turn: After how long, in s, it repeats; None if it does not.
+        until: When it ends then, in s.
+    """
+    try:
+        return _told(told, first, turn, until)
+    except (IndexError, StopIteration, KeyError, TypeError) as error:
+        raise ValueError("what is told to be played back is no curve in polynomials") from error
+
+
+def _told(told: Mapping[str, Any], first: int, turn: float | None, until: float) -> Pieces:
+    S, Q, w0 = (np.array(told[name], dtype=np.float64) for name in ("S", "Q", "w0"))
+    rows = [np.flatnonzero(row) for row in Q if not row[:first].any()]
+    times = np.append(0.0, sorted({piece["t"] for piece in told["pieces"] if piece["start"] >= first}))
+    times = times if turn is None else times[times < turn]
+    c = np.zeros((len(times), len(rows), DEGREE + 1))
+    for k, row in enumerate(rows):
+        for at in row[:1].tolist():  # none of one that is 0
+            terms = next(j for j in range(1, len(w0) + 1) if at + j == len(w0) or not S[at + j - 1, at + j])
+            values = [w0[at:], *(np.array(piece["w"]) for piece in told["pieces"] if piece["start"] == at)]
+            powers = np.array([float(factorial(j)) for j in range(terms)])
+            c[:, k, :terms] = [v[:terms].reshape(terms) / powers for v in values[: len(times)]]
+    length = np.diff(np.append(times, until if turn is None else turn))
+    if not (length > 0).all():
+        raise ValueError("what is told to be played back has pieces beyond its end")
+    return Pieces(start=times, length=length, c=c, of=np.zeros(len(times), dtype=np.int64))
 
 
 def played(

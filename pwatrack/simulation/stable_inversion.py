@@ -11,11 +11,12 @@ so that nothing grows, however fast a mode or long a stay is. What joins the sta
 Newton's method, whose derivative has no terms for them, as the field is continuous.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import factorial
+from typing import Any
 
 import numpy as np
 import scipy  # whose parts are imported where they are used
@@ -26,7 +27,7 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.model.reference import Exosystem, beside, exosystem, spectral_terms
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import DEGREE, POINTS, Looked, Pieces, fitted, joined, look, played
+from pwatrack.simulation.curve import DEGREE, POINTS, Looked, Pieces, fitted, joined, look, played, told_pieces
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -41,26 +42,32 @@ _MOST_PIECES = 200_000  # of what is played back
 _TAYLOR = 14  # terms of e^{M t} for ‖M t‖ ≤ 1/2: the next is below 1e-16
 
 
-def bounded_solution(trajectory: DesiredTrajectory, duration: float) -> tuple[tuple[Signal, ...], NoncausalTrajectory]:
+def bounded_solution(
+    trajectory: DesiredTrajectory, duration: float, told: Mapping[str, Any] | None = None
+) -> tuple[tuple[Signal, ...], NoncausalTrajectory]:
     """Return the bounded solution of the internal dynamics from t = 0 on, in pieces that are polynomials.
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
     stable part then starts as if the first piece had been there before. Returned are one signal per η, up to a time in
-    s, and what is known of them. Raises Undecided if Newton's method does not settle.
+    s, and what is known of them. Raises Undecided if Newton's method does not settle. Where it is told, see
+    `told_pieces`, only what is known of it is found.
     """
     system = trajectory.exosystem
     poles = np.linalg.eigvals(trajectory.rate[:, :, : trajectory.rate.shape[1]])
     settled = _SETTLED / float(np.abs(poles.real).min())
     period = 1.0 / float(np.abs(poles).max()) if system.constant else system.period
-    if period is not None and period <= duration + 2 * settled:
-        solution = _Problem(trajectory, 0.0, period, periodic=True).solve()
-    elif period is not None:  # all of it would be seen only in a longer run
-        solution, period = _Problem(trajectory, -settled, duration + settled, periodic=False).solve(), None
-    else:
+    first, last, repeats = 0.0, period, period is not None and period <= duration + 2 * settled
+    if not repeats and period is not None:  # all of it would be seen only in a longer run
+        first, last, period = -settled, duration + settled, None
+    elif last is None:
         last = duration + settled if system.end is None else min(duration + settled, max(duration, system.end))
-        solution = _Problem(trajectory, 0.0, last, periodic=False).solve()
     turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
-    signals, preview = played(trajectory, solution.pieces(duration), turns, period or 0.0)
+    if told is None:
+        assert last is not None
+        pieces = _Problem(trajectory, first, last, periodic=repeats).solve().pieces(duration)
+    else:
+        pieces = told_pieces(told, len(system.w0), period, duration)
+    signals, preview = played(trajectory, pieces, turns, period or 0.0)
     return signals, replace(preview, lead=_lead(trajectory, signals, duration))
 
 
@@ -80,9 +87,11 @@ def _lead(trajectory: DesiredTrajectory, signals: Sequence[Signal], duration: fl
     return float(max(0.0, moves - left.min(initial=moves)))
 
 
-def played_back(trajectory: DesiredTrajectory, duration: float) -> DesiredTrajectory:
+def played_back(
+    trajectory: DesiredTrajectory, duration: float, told: Mapping[str, Any] | None = None
+) -> DesiredTrajectory:
     """Return the trajectory with the bounded solution in place of the filter η̂: x_d and u_ff are signals then."""
-    signals, preview = bounded_solution(trajectory, duration)
+    signals, preview = bounded_solution(trajectory, duration, told)
     p = trajectory.rate.shape[1]
     system = beside(trajectory.exosystem, exosystem(signals))
     eta = system.Q[len(trajectory.exosystem.Q) :]
