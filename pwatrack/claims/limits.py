@@ -286,7 +286,7 @@ def nearby(starts: Starts, entries: dict[str, Any]) -> Starts:
     G, n = _rows(starts), len(starts.e)
     told = doubles(entries[starts.kind]["starts"]) if starts.kind in entries else G
     G = np.pad(G, ((0, max(len(told) - len(G), 0)), (0, 0)))  # Δ = 0, where it is about (e, Δ) all the same
-    if not alike(told.T, G.T):
+    if not alike(told, G, together=True):
         return starts
     if starts.z is not None:
         return replace(starts, z=told)

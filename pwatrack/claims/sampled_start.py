@@ -69,7 +69,7 @@ def of_this_start(told: Mapping[Channel, Any], errors: SampledErrors) -> tuple[b
     starts = errors.starts or ()
     found = [doubles([told[channel]])[0] for channel in sorted(told)]
     own = [column.floats[:, 0] for column in starts]
-    same = len(own) == len(found) and all(map(alike, found, own))
+    same = len(own) == len(found) and all(alike(*both, together=True) for both in zip(found, own, strict=True))
     if not (same and found):
         return same, errors
     return True, replace(errors, starts=[BallMatrix.of(z[:, None], (len(z), 1)) for z in found])

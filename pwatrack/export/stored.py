@@ -32,7 +32,7 @@ _LOOKED = "not proved for switching between cells"
 _SAME = ("tracking", "K", "L", "plant", "trajectory", "program")  # that two files of one controller have in common
 _FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
 _SAID = ("program.proved ", "program.outside.takes ")  # what is said of a program, and runs nothing
-_SOLVED = "start."  # what is a solution of equations: an entry that is 0 is so to rounding of the others
+_RUNS = ("K", "L", "plant.", "trajectory.", "program.")  # what runs: of what is said, 0 may be rounding of the others
 _MOST_SHOWN = 60  # characters of what differs
 
 
@@ -360,7 +360,7 @@ def differing(told: Any, made: Any, place: str) -> Iterator[str]:
             else:
                 yield f"{place}.{key} is {'missing' if key in made else 'there'}"
     elif one is not None and other is not None:
-        same = alike(one, other, together=place.startswith(_SOLVED))
+        same = alike(one, other, together=not place.startswith(_RUNS))
         yield from () if same else (f"{place} is {_shown(told)}, not {_shown(made)}",)
     elif isinstance(told, list) and isinstance(made, list) and len(told) == len(made):
         for k, both in enumerate(zip(told, made, strict=True)):
