@@ -238,7 +238,7 @@ def _stored(path: Path, given: bool) -> Subject:
             controller = told_design(spec, certificate_content(text.decode()), reference)
         else:
             controller = pipeline.design(again, growing=True)
-        again, runs = check_same(again, controller, file)
+        runs = check_same(again, controller, file)
         found = _simulated(again, controller, runs, given, _STEPS)
         return replace(found, file=file, certificate=text.decode(), unproved=tuple(unproved), spec=spec)
     q, s = len(file.plant.outputs), len(file.program.outside.given)

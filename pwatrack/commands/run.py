@@ -145,7 +145,7 @@ class _Made:
             asked = replace(spec, objectives=replace(spec.objectives, uncertain=())) if scaled else spec
             controller = pipeline.design(asked, growing=growing)
         if known is not None:
-            self.spec, self.runs = spec, _ = check_same(spec, controller, known)
+            self.runs = check_same(spec, controller, known)
         if scaled:
             with self.step("largest box", "Scaling the box of uncertain parameters"):
                 self.largest = _scaled(spec, controller)

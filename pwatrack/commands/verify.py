@@ -21,7 +21,7 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.synthesis import Gains
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.export.schema import Sampled
-from pwatrack.export.stored import LARGEST, differing, digest, lists_of
+from pwatrack.export.stored import LARGEST, differing, digest, lists_of, with_sampling
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed
@@ -202,10 +202,9 @@ def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[s
 
 def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: list[str], faults: list[str]) -> None:
     """Make a certificate and the files beside it again, and add what was compared and what differs."""
-    known, conditions = _json(folder / CONTROLLER), spec.scenario.conditions
-    if conditions.sampling is None and known is not None and known.get("program") is not None:  # that of an export
-        conditions = replace(conditions, sampling=Sampled.model_validate(known["program"]).sampling)
-        spec = replace(spec, scenario=replace(spec.scenario, conditions=conditions))
+    known = _json(folder / CONTROLLER)
+    if spec.scenario.conditions.sampling is None and known is not None and known.get("program"):  # that of an export
+        spec = with_sampling(spec, Sampled.model_validate(known["program"]))
     try:
         controller = told_design(spec, content)
         if controller.trajectory.preview is not None and known is not None:

@@ -29,7 +29,7 @@ from pwatrack.spec.spec import Spec
 LARGEST = 2**28  # bytes of a file that is read
 _SINGLE = float(np.finfo(np.float32).max)
 _LOOKED = "not proved for switching between cells"
-_SAME = ("tracking", "K", "L", "plant", "trajectory", "program")  # that two files of one controller have in common
+_SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one controller have in common
 _FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
 _SAID = ("program.proved ", "program.outside.takes ")  # what is said of a program, and runs nothing
 _RUNS = ("K", "L", "plant.", "trajectory.", "program.")  # what runs: of what is said, 0 may be rounding of the others
@@ -321,28 +321,27 @@ def with_gains(spec: Spec, known: ControllerFile) -> Spec:
     (n, m), (N, q) = plant.B.shape, (plant.observed.A[0].shape[0], len(plant.C))
     if K.shape != (m, n) or L.shape != (N, q):
         raise _other("K and L have other sizes")
-    conditions, part = spec.scenario.conditions, known.program
-    if part is not None and conditions.sampling is None:
-        spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=part.sampling)))
-    return replace(spec, objectives=replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L)))
+    asked = replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L))
+    return replace(with_sampling(spec, known.program), objectives=asked)
 
 
-def check_same(
-    spec: Spec, controller: ProvedController, known: ControllerFile
-) -> tuple[Spec, SampledController | None]:
-    """Return a spec with gains and sampling of a stored controller, and its program; InvalidSpec if it is another's."""
+def with_sampling(spec: Spec, program: Sampled | None) -> Spec:
+    """Return a spec that says no sample time with that of a program, if there is one."""
+    conditions = spec.scenario.conditions
+    if program is None or conditions.sampling is not None:
+        return spec
+    return replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=program.sampling)))
+
+
+def check_same(spec: Spec, controller: ProvedController, known: ControllerFile) -> SampledController | None:
+    """Return the program of a stored controller, if it has one; InvalidSpec if a spec `with_gains` makes another."""
     again = content(spec, controller, proof=known.proof, generator=None, start=None)
-    there, here, found, conditions = known.model_dump(), dict[str, Any](), None, spec.scenario.conditions
-    here |= ControllerFile.model_validate(again).model_dump()
-    if known.program is not None:
-        found = runs(known)
-        conditions = replace(conditions, sampling=conditions.sampling or found.sampling)
-        here["program"] = Sampled.model_validate(sampled(controller, conditions)).model_dump()
-    for name in _SAME:
+    there, here = known.model_dump(), ControllerFile.model_validate(again).model_dump()
+    for name in _SAME if known.program is None else (*_SAME, "program"):
         for place in differing(there[name], here[name], name):
             if not place.startswith(_SAID):
                 raise _other(place)
-    return replace(spec, scenario=replace(spec.scenario, conditions=conditions)), found
+    return None if known.program is None else runs(known)
 
 
 def differing(told: Any, made: Any, place: str) -> Iterator[str]:

@@ -49,8 +49,8 @@ def solve(program: SemidefiniteProgram, solver: Solver = "clarabel") -> Solution
         held.append(sides)
     for E, value in program.equalities:
         problem.add_constraint(value == (E | P))
-    traced = P if program.cost is None else program.cost * P
-    problem.set_objective("min", program.price * t if program.price else picos.trace(traced))
+    cost = program.price * t if program.cost is None else picos.trace(program.cost * P)
+    problem.set_objective("min", cost)
     if program.weight is not None:  # tr V P⁻¹ Vᵀ ≤ tr W
         V, W = program.weight, picos.SymmetricVariable("W", len(program.weight))
         problem.add_constraint(((W & V) // (V.T & P)) >> 0)

@@ -13,12 +13,11 @@ from pwatrack.simulation.enclosure import CLOSE
 from pwatrack.spec.entries import sized_real, two_limits
 from pwatrack.spec.expression import BrokenParameter, UnknownName
 from pwatrack.spec.section import Context, Fault, Faults
-from pwatrack.spec.wording import guess, shown
+from pwatrack.spec.wording import NUMBER, guess, shown
 
 _HERE = "require"
-_WITH_UNIT = re.compile(
-    r"(.*?[\w.)])\s+([A-Za-zµμΩ°].*)|((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\d.])(?!e)([A-Za-zµμΩ°].*)"
-)
+_UNIT = r"([A-Za-zµμΩ°].*)"
+_WITH_UNIT = re.compile(rf"(.*?[\w.)])\s+{_UNIT}|({NUMBER.pattern})(?![eE][+-]?\d){_UNIT}")
 _ROUNDING = 1e-12  # of a figure
 _ENCLOSED = CLOSE + _ROUNDING  # likewise, of one that is a bound on what is between samples
 
@@ -239,8 +238,8 @@ def split(text: str) -> tuple[str, str]:
     """Return the number of a text, and the unit behind it; '' where there is none.
 
     Example:
-        >>> split("0.5 mm"), split("2*k N m"), split("a + b"), split("1e-3"), split("500ms")
-        (('0.5', 'mm'), ('2*k', 'N m'), ('a + b', ''), ('1e-3', ''), ('500', 'ms'))
+        >>> split("0.5 mm"), split("2*k N m"), split("a + b"), split("1E-3"), split("500ms")
+        (('0.5', 'mm'), ('2*k', 'N m'), ('a + b', ''), ('1E-3', ''), ('500', 'ms'))
     """
     found = _WITH_UNIT.fullmatch(text.strip())
     return (found[1] or found[3], found[2] or found[4]) if found else (text, "")

@@ -18,7 +18,7 @@ _MEANT = {
     "\u221a": "sqrt(…)",
     "\u221e": ".inf, where a limit may be infinite",
 }
-_NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _STARTS = re.compile(r"(?<![\w.])(?<![\d.][eE][+-])(?=\.?\d)", re.ASCII)  # not of an exponent
 _WORD = re.compile(r"[\w.]+", re.ASCII)
 _BESIDE = re.compile(r"([\w.]+|\))\s+([\w.]+|\()|(\))([\w(])|(?<![\w.])(\d[\d.]*)(\()", re.ASCII)
@@ -78,7 +78,7 @@ def _instead(character: str) -> str:
 def _odd_number(text: str) -> str:
     """Say what is odd about the first number that Python, but no engineer, would read, or that nobody would."""
     for start in _STARTS.finditer(text):
-        number, word = _NUMBER.match(text, start.start()), _WORD.match(text, start.start())
+        number, word = NUMBER.match(text, start.start()), _WORD.match(text, start.start())
         if number is None or word is None:
             continue
         rest = word[0][len(number[0]) :]
