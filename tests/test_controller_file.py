@@ -6,18 +6,21 @@ import random
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from math import factorial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 import pwatrack
 from pwatrack import Controller, Result, design, load_spec, simulate
 from pwatrack.commands.verify import verify
+from pwatrack.control.program import turned
 from pwatrack.errors import CheckFailed, InvalidSpec
 from pwatrack.export.schema import FORMAT, json_schema
-from pwatrack.export.stored import digest, parsed
+from pwatrack.export.stored import differing, digest, parsed
 from pwatrack.model.conditions import Sampling
 from pwatrack.report.files import write_design, write_result
 from tests.conftest import SPECS
@@ -316,3 +319,24 @@ def test_a_program_is_compared_whole_in_whatever_units_it_is(tmp_path: Path, sam
         file.write_text(json.dumps(forged | {"sha256": digest(forged)}), encoding="utf-8")
         with pytest.raises(CheckFailed, match=r"program in controller\.json is not what was proved"):
             verify(run / "certificate.json", path)
+
+
+def test_ends_of_an_interval_are_compared_together() -> None:
+    """One of them may be rounding of the other, as other processors make it; another kind of number may not."""
+    told, made = {"from": -1.5e-12, "to": 4.0, "unit": "m"}, {"from": -1.6e-12, "to": 4.0, "unit": "m"}
+    assert not list(differing(told, made, "y"))
+    assert list(differing(told | {"from": -1e-6}, made, "y"))
+    assert list(differing(told | {"unit": "mm"}, made, "y"))
+    assert list(differing(told | {"bits": -1.5e-12}, made | {"bits": -1.6e-12}, "y"))
+
+
+def test_a_polynomial_is_turned_without_rounding_for_as_long_as_a_program_runs() -> None:
+    """Its chain beside a sinusoid, 2²⁰ samples at once: powers of two, so every entry is exact."""
+    chain, turning, t = np.diag([1.0, 1.0, 1.0], 1), np.array([[0.0, -0.5], [0.5, 0.0]]), 2.0**15
+    found = turned(block_diag(chain, turning) * t)
+    exact = [[t ** (k - j) / factorial(k - j) if k >= j else 0.0 for k in range(4)] for j in range(4)]
+    np.testing.assert_allclose(found[:4, :4], exact, rtol=1e-15, atol=0)
+    c, s = np.cos(t / 2), np.sin(t / 2)
+    np.testing.assert_allclose(found[4:, 4:], [[c, -s], [s, c]], atol=1e-11)
+    assert not found[:4, 4:].any()
+    assert not found[4:, :4].any()

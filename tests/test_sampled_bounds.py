@@ -619,6 +619,39 @@ def test_no_run_whose_ticks_are_off_their_times_is_above_its_bounds(way: str, de
         assert band.max() <= claim.from_start["output", 0].max() < 3 * most
 
 
+RESTING = """
+name: A mass at rest on a spring, with friction
+system:
+  states: [x, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [0, -2]]
+  B: [[0], [1]]
+  C: [[1, 0]]
+  nonlinearities:
+    - {name: spring, kind: spring, of: x, into: {v: -1}, start: 0.2, slope: 50}
+    - {name: friction, kind: saturation, of: v, into: {v: -1}, lower: -0.4, upper: 0.4, slope: 20}
+reference:
+  output: {y: {constant: 0.3}}
+simulation:
+  duration: 2
+  sample_time: 0.01
+  controller: {sample_time: 0.001}
+"""
+
+
+def test_of_what_is_rounding_alone_a_share_of_its_size_is_told(tmp_path: Path) -> None:
+    """v_d is 0 but for rounding, which is another one on another processor."""
+    (tmp_path / "plant.yaml").write_text(RESTING, encoding="utf-8")
+    spec = load_spec(tmp_path / "plant.yaml")
+    controller = design(spec)
+    claim = controller.claim(SampledBounds)
+    told = claim.figures(spec.words, controller)["sampled_bounds"]["acts"]
+    moved = told["v off its reference in the mean cell"]["at_most"]
+    assert np.sqrt(claim.acts.squares["nominal", 1].max()) < 1e-12
+    assert moved == pytest.approx(1e-9 * controller.sizes.state[1], rel=1e-3)
+
+
 LINEAR = re.sub(r"(?s)  cells:.*?reference", "  A: [[0, 1], [0, -0.5]]\nreference", FRICTION)
 
 

@@ -1,5 +1,8 @@
 """What acts on a sampled loop, in words."""
 
+import numpy as np
+
+from pwatrack.arrays import CLOSE
 from pwatrack.claims.practical import Practical
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
@@ -37,3 +40,14 @@ def channel_text(
     terms = " + ".join(name if v == "1" else f"({v}) {name}" for v, name in entries)
     said = "moving in a substep" if kind == "moved" else "off its reference in the mean cell"
     return f"{terms} {said}{' from ticks off their times' * late}", units.get(entries[0][1], "")
+
+
+def rounding(channel: Channel, errors: SampledErrors, controller: ProvedController) -> float:
+    """Return what of a channel that x_d makes may be rounding, which processors differ in: a share of its size."""
+    sizes, (kind, k) = controller.sizes, channel
+    if kind in ("moved", "nominal"):
+        of = errors.followed if kind == "nominal" else errors.R
+        return CLOSE * float(np.abs(of.floats[k % of.shape[0]]) @ sizes.state)
+    if kind in ("drawn", "predicted"):
+        return CLOSE * float(sizes.state[k % len(sizes.state)]) * sizes.speed
+    return CLOSE * float(sizes.input[k]) if kind in ("swap", "cell") else 0.0

@@ -22,7 +22,7 @@ from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, rounded_up,
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims import tube_text
 from pwatrack.claims.bounds import in_ellipsoid
-from pwatrack.claims.channel_text import channel_text
+from pwatrack.claims.channel_text import channel_text, rounding
 from pwatrack.claims.practical import Practical
 from pwatrack.claims.sampled import SampledLoop, errors_of
 from pwatrack.claims.sampled_start import from_start, is_start, of_this_start
@@ -333,7 +333,8 @@ class TubeBounds(Claim):
         for channel, squares in self.acts.squares.items():
             if channel[0] != "start":
                 name, unit = channel_text(channel, self.errors, words, controller)
-                found[channel] = name, rounded_up(float(np.sqrt(squares.max())), _DIGITS), unit
+                size = max(float(np.sqrt(squares.max())), rounding(channel, self.errors, controller))
+                found[channel] = name, rounded_up(size, _DIGITS), unit
         return found
 
 

@@ -33,6 +33,7 @@ _SAME = ("tracking", "K", "L", "plant", "trajectory")  # that two files of one c
 _FOLLOWED = ("generator", "x_d", "u_ff", "guards", "sides")  # tables of a desired trajectory in samples
 _SAID = ("program.proved ", "program.outside.takes ")  # what is said of a program, and runs nothing
 _RUNS = ("K", "L", "plant.", "trajectory.", "program.")  # what runs: of what is said, 0 may be rounding of the others
+_ENDS = "from", "to"  # of an interval, compared as one table: one of them may be rounding of the other
 _MOST_SHOWN = 60  # characters of what differs
 
 
@@ -353,6 +354,7 @@ def differing(told: Any, made: Any, place: str) -> Iterator[str]:
     """
     one, other = _table(told), _table(made)
     if isinstance(told, dict) and isinstance(made, dict):
+        told, made = _with_intervals(told), _with_intervals(made)
         for key in dict.fromkeys((*made, *told)):
             if key in told and key in made:
                 yield from differing(told[key], made[key], f"{place}.{key}")
@@ -366,6 +368,13 @@ def differing(told: Any, made: Any, place: str) -> Iterator[str]:
             yield from differing(*both, f"{place}.{k}")
     elif type(told) is not type(made) or told != made:
         yield f"{place} is {_shown(told)}, not {_shown(made)}"
+
+
+def _with_intervals(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a mapping with both ends of an interval under one key, if it has such."""
+    ends = {key: value for key, value in tree.items() if key in _ENDS}
+    rest = {key: value for key, value in tree.items() if key not in _ENDS}
+    return rest | {" to ".join(ends): [*ends.values()]} if len(ends) == len(_ENDS) else tree
 
 
 def _shown(tree: Any) -> str:

@@ -27,6 +27,7 @@ from pwatrack.simulation.trace import Trace
 
 CLOSE = 1e-7  # of the size of a signal: what is said is at most so much above what is attained
 _SAME = 1e-6  # of the size: of peaks that differ by less the first one counts
+_FIRST = 1e-12  # of a signal: what is nearer to the highest of one peak is it, but for rounding
 _SHORT = 0.5  # ‖F s‖ for the length s from which on there is doubling
 _DEGREE = 3  # of the polynomial: of a higher one rounding grows faster with the length than it gains
 _ONE_LOOK = 6  # the degree where pieces are short, and none is split
@@ -276,7 +277,7 @@ class Enclosing:
             t, values = when[near][order], seen[near][order]
             first = int(np.append(np.flatnonzero(np.diff(t) > 2 * self._step), len(t) - 1)[0]) + 1
             top = values[:first].max()
-            times[k] = t[np.argmax(values[:first] >= top - 1e-12 * abs(top))]
+            times[k] = t[np.argmax(values[:first] >= top - _FIRST * self._size[k])]
         inner, q = self._best, len(highs) // 2
         highs = highs if self._left >= 0 else np.full_like(highs, np.inf)
         if self._norm:  # from below there is 0
