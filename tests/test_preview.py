@@ -54,6 +54,7 @@ from pwatrack.workflow.how_far import how_far
 from pwatrack.workflow.tracking import desired_trajectory
 from tests.conftest import SPECS
 from tests.plants import saddle
+from tests.test_cli import call, refused
 
 T = ExponentialPolynomial.time()
 
@@ -644,9 +645,12 @@ def test_where_nothing_drives_an_unstable_mode_it_rests_at_0_and_no_gain_is_foun
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["flexible_arm", "cart_and_pole_on_the_move"])
+@pytest.mark.parametrize(
+    ("name", "move", "other"),
+    [("flexible_arm", "size: 0.9", "size: 0.8"), ("cart_and_pole_on_the_move", "at: 2.25", "at: 2.5")],
+)
 def test_what_another_processor_worked_out_in_other_steps_is_verified_as_it_is_told(
-    specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, move: str, other: str
 ) -> None:
     spec = load_spec(specs / "gallery" / f"{name}.yaml")
     with monkeypatch.context() as elsewhere:
@@ -655,6 +659,12 @@ def test_what_another_processor_worked_out_in_other_steps_is_verified_as_it_is_t
     told = "controller.json beside it plays back another x_d than is worked out here"
     assert any(said.startswith(told) for said in verify(run))
     file = run / "controller.json"
+    again = "simulate", spec.path, "--controller", file, "--out", tmp_path / "again"
+    ended = call(*again)
+    assert ended.exit_code == spec.expected_exit, ended.output
+    moved = tmp_path / "moved.yaml"
+    moved.write_text(spec.path.read_text(encoding="utf-8").replace(move, other), encoding="utf-8")
+    assert "not one for this spec: trajectory" in refused(call("simulate", moved, *again[2:]), 2)
     forged = json.loads(file.read_text(encoding="utf-8"))
     pieces = forged["trajectory"]["reference"]["pieces"]
     pieces[-1]["w"][0] += 1e-3 * max(abs(v) for piece in pieces for v in piece["w"][:1])

@@ -21,7 +21,7 @@ from pwatrack.export.reading import run
 from pwatrack.export.rounding import NOT_KNOWN, of_run
 from pwatrack.export.schema import ControllerFile
 from pwatrack.export.source import Source, Vector, prefix, write_texts
-from pwatrack.export.stored import check_same, digest, parsed, read, with_gains
+from pwatrack.export.stored import check_same, digest, parsed, read, with_gains, with_played
 from pwatrack.lmi.audit.reading import parsed as certificate_content
 from pwatrack.model.conditions import Sampling
 from pwatrack.model.nonlinearity import MOST_LISTED
@@ -234,8 +234,8 @@ def _stored(path: Path, given: bool) -> Subject:
     if spec is not None:
         again = with_gains(spec, file)
         if told:
-            reference = file.trajectory.reference.model_dump()
-            controller = told_design(spec, certificate_content(text.decode()), reference)
+            played = with_played(spec, file.trajectory.reference.model_dump())
+            controller = told_design(played, certificate_content(text.decode()))
         else:
             controller = pipeline.design(again, growing=True)
         runs = check_same(again, controller, file)

@@ -21,7 +21,7 @@ from pwatrack.control.goal import Given, Goal, LeastCost, demands
 from pwatrack.control.synthesis import Gains
 from pwatrack.errors import CheckFailed, InvalidSpec, PwatrackError
 from pwatrack.export.schema import Sampled
-from pwatrack.export.stored import LARGEST, differing, digest, lists_of, with_sampling
+from pwatrack.export.stored import LARGEST, differing, digest, lists_of, with_played, with_sampling
 from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.audit.matrices import AuditFault
 from pwatrack.lmi.audit.reading import number, parsed
@@ -104,15 +104,12 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     return said
 
 
-def told_design(spec: Spec, content: dict[str, Any], played: dict[str, Any] | None = None) -> ProvedController:
-    """Return the design that an audited certificate tells, or raise ValueError where it does not fit the spec.
-
-    What is played back may be told too, see `desired_trajectory`: what it leaves is enclosed anew then.
-    """
+def told_design(spec: Spec, content: dict[str, Any]) -> ProvedController:
+    """Return the design that an audited certificate tells, or raise ValueError where it does not fit the spec."""
     true = spec.problem.plant
     spec = _merged_as_told(spec, content)
     form = output_form(spec, content["generator"]["directions"]) if content["generator"] else None
-    trajectory = desired_trajectory(spec, True, form, played)
+    trajectory = desired_trajectory(spec, True, form)
     generator = trajectory.generator
     plant = spec.problem.plant if generator is None else generator.form.plant
     proofs = read_proofs(content)
@@ -210,7 +207,8 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
         if controller.trajectory.preview is not None and known is not None:
             told = known["trajectory"]["reference"]
             if any(differing(told, lists_of(controller.trajectory)["reference"], "reference")):
-                controller = told_design(spec, content, told)
+                spec = with_played(spec, told)
+                controller = told_design(spec, content)
                 said.append(_PLAYED)
     except PwatrackError as refusal:
         faults += [f"{spec.path} is refused: {problem.message}" for problem in refusal.problems]

@@ -23,6 +23,7 @@ from pwatrack.errors import InvalidSpec
 from pwatrack.export.schema import FORMAT, ControllerFile, Inside, Outside, Sampled
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.loads import Loads
+from pwatrack.model.reference import OutputReference
 from pwatrack.remote_files import regular
 from pwatrack.spec.spec import Spec
 
@@ -316,14 +317,23 @@ def _finite(values: Array) -> list[float | None]:
 
 
 def with_gains(spec: Spec, known: ControllerFile) -> Spec:
-    """Return a spec that asks for the gains and the sampling of a stored controller; InvalidSpec if they do not fit."""
+    """Return a spec that asks for gains, sampling and x_d of a stored controller; InvalidSpec if they do not fit."""
     K, L = np.array(known.K), np.array(known.L)
     plant = spec.problem.plant
     (n, m), (N, q) = plant.B.shape, (plant.observed.A[0].shape[0], len(plant.C))
     if K.shape != (m, n) or L.shape != (N, q):
         raise _other("K and L have other sizes")
     asked = replace(spec.objectives, controller=Given(gain=K), observer=Given(gain=L))
+    spec = with_played(spec, known.trajectory.reference.model_dump())
     return replace(with_sampling(spec, known.program), objectives=asked)
+
+
+def with_played(spec: Spec, played: dict[str, Any]) -> Spec:
+    """Return a spec in which x_d is that of a file where it is played back: what it leaves is enclosed anew."""
+    reference = spec.problem.reference
+    if not isinstance(reference, OutputReference):
+        return spec
+    return replace(spec, problem=replace(spec.problem, reference=replace(reference, played=played)))
 
 
 def with_sampling(spec: Spec, program: Sampled | None) -> Spec:

@@ -1,10 +1,11 @@
 """References as outputs of a linear exosystem ẇ = S w, with resets where a signal has a new piece."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import accumulate, repeat
 from math import factorial, gcd, isfinite, lcm, pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ class OutputReference:
 
     courses: tuple[tuple[Course, ...], ...]  # by output
     preview: bool = True  # whether it is known beforehand, so that x_d may be worked out
+    played: Mapping[str, Any] | None = None  # as a controller.json tells what is played back; None: it is worked out
 
     def signals(self, degrees: Sequence[int]) -> list[Signal]:
         """Return y_d, each with as many continuous derivatives as its degree where rounding was asked for."""

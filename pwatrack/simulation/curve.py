@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from numpy.typing import NDArray
 
-from pwatrack.arrays import EPS, Array, IntArray
+from pwatrack.arrays import EPS, Array, IntArray, alike
 from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Undecided
 from pwatrack.model.reference import Exosystem, exosystem
@@ -46,6 +46,11 @@ class Pieces:
     length: Array  # in s
     c: Array  # (N, p, K)
     of: IntArray  # the stay that each is in, or the piece that it is cut from
+
+    def is_one_with(self, other: "Pieces") -> bool:
+        """Say whether they are the same, but for rounding of their numbers in a file."""
+        pairs = (self.start, other.start), (self.c, other.c)
+        return all(one.shape == two.shape and np.allclose(one, two, rtol=4 * EPS, atol=0) for one, two in pairs)
 
     def cut(self, fastest: float) -> "Pieces":
         """Return pieces so short that nothing of such a rate turns much on them; `of` is the piece each is from."""
@@ -198,6 +203,19 @@ def fitted(seen: Array, span: Array) -> tuple[Array, Array]:
 def _through(known: Array, span: Array) -> Array:
     powers = (_POWERS @ (_SERIES @ known)).transpose(0, 2, 1)
     return np.asarray(powers / span[:, None, None] ** np.arange(DEGREE + 1))
+
+
+def is_of(told: Mapping[str, Any], system: Exosystem) -> bool:
+    """Say whether the reference of a trajectory, as controller.json has it, is one of `system` and what is played back.
+
+    ValueError if it is none at all.
+    """
+    s, S, w0 = len(system.w0), *(np.array(told[name], dtype=np.float64) for name in ("S", "w0"))
+    known = [[piece["t"], *piece["w"]] for piece in told["pieces"] if piece["start"] < s]
+    own = [[t, *w] for one in system.resets for t, w in zip(one.t.tolist(), one.values.tolist(), strict=True)]
+    there, here = (np.array([number for piece in sorted(each) for number in piece]) for each in (known, own))
+    pairs = (S[:s, :s], system.S), (w0[:s], system.w0), (there, here)
+    return all(alike(one, other, together=True) for one, other in pairs)
 
 
 def told_pieces(told: Mapping[str, Any], first: int, turn: float | None, until: float) -> Pieces:

@@ -27,7 +27,7 @@ from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import ProblemPart, Undecided
 from pwatrack.model.reference import Exosystem, beside, exosystem, spectral_terms
 from pwatrack.model.signal import Signal
-from pwatrack.simulation.curve import DEGREE, POINTS, Looked, Pieces, fitted, joined, look, played, told_pieces
+from pwatrack.simulation.curve import DEGREE, POINTS, Looked, Pieces, fitted, is_of, joined, look, played, told_pieces
 
 _SETTLED = 40.0  # time constants of the slowest mode after which nothing is left of an end: e^-40 = 4e-18
 _MISSED = 1e-12  # of the largest rate: what a stay in the wrong cell may be off by
@@ -49,8 +49,8 @@ def bounded_solution(
 
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
     stable part then starts as if the first piece had been there before. Returned are one signal per η, up to a time in
-    s, and what is known of them. Raises Undecided if Newton's method does not settle. Where it is told, see
-    `told_pieces`, only what is known of it is found.
+    s, and what is known of them. Raises Undecided if Newton's method does not settle. Where another one is told of this
+    very reference, see `told_pieces`, what is known of that is found.
     """
     system = trajectory.exosystem
     poles = np.linalg.eigvals(trajectory.rate[:, :, : trajectory.rate.shape[1]])
@@ -62,11 +62,11 @@ def bounded_solution(
     elif last is None:
         last = duration + settled if system.end is None else min(duration + settled, max(duration, system.end))
     turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
-    if told is None:
-        assert last is not None
-        pieces = _Problem(trajectory, first, last, periodic=repeats).solve().pieces(duration)
-    else:
-        pieces = told_pieces(told, len(system.w0), period, duration)
+    assert last is not None
+    pieces = _Problem(trajectory, first, last, periodic=repeats).solve().pieces(duration)
+    if told is not None and is_of(told, system):
+        other = told_pieces(told, len(system.w0), period, duration)
+        pieces = pieces if pieces.is_one_with(other) else other
     signals, preview = played(trajectory, pieces, turns, period or 0.0)
     return signals, replace(preview, lead=_lead(trajectory, signals, duration))
 

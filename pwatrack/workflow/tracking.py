@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -80,13 +80,8 @@ def check_unknown(spec: Spec) -> None:
         check_without_loads(problem.plant)
 
 
-def desired_trajectory(
-    spec: Spec, growing: bool, form: NormalForm | None = None, told: Mapping[str, Any] | None = None
-) -> DesiredTrajectory:
-    """Return the desired trajectory; for output tracking that of a generator, in a form that is known.
-
-    What is played back may be told, as the reference of the trajectory in controller.json.
-    """
+def desired_trajectory(spec: Spec, growing: bool, form: NormalForm | None = None) -> DesiredTrajectory:
+    """Return the desired trajectory; for output tracking that of a generator, in a form that is known."""
     plant, reference = spec.problem.plant, spec.problem.reference
     if not isinstance(reference, OutputReference):
         trajectory, where = _state_desired(spec), ("reference", "start")
@@ -105,7 +100,7 @@ def desired_trajectory(
     if not generator.played_back:
         return trajectory
     check_played_back(form)
-    return played_back(trajectory, spec.scenario.duration, told)
+    return played_back(trajectory, spec.scenario.duration, reference.played)
 
 
 def spec_form(spec: Spec) -> NormalForm:
