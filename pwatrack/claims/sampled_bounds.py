@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from pwatrack.arrays import OVER_POWERS, OVER_SUMS, Array, IntArray, rounded_up, up
+from pwatrack.arrays import CLOSE, OVER_POWERS, OVER_SUMS, Array, IntArray, rounded_up, up
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims import tube_text
 from pwatrack.claims.bounds import in_ellipsoid
@@ -122,10 +122,14 @@ class TubeBounds(Claim):
     def ends_below(self, controller: ProvedController) -> dict[Form, float]:
         """Return below what each signal is in the end of the run, if what its start left is gone.
 
-        That is its last tenth, or the last period of the reference where that is longer.
+        That is its last tenth, or the last period of the reference where that is longer. What processors may round
+        otherwise is no less, see `CLOSE`.
         """
-        last = self._last(controller)
-        return {form: rounded_up(float(most[last].max()), _DIGITS) for form, most in self.from_zero.items()}
+        last, sizes = self._last(controller), controller.sizes
+        of = {"output": sizes.tracked, "state": sizes.state, "input": sizes.input, "estimate": sizes.state}
+        least = {form: CLOSE * float(of[form[0]][form[1]]) for form in self.from_zero}
+        ends = {form: max(float(most[last].max()), least[form]) for form, most in self.from_zero.items()}
+        return {form: rounded_up(most, _DIGITS) for form, most in ends.items()}
 
     def ends_by(self, controller: ProvedController, form: Form) -> dict[Channel, float]:
         """Return what each channel leaves of a signal there at most; of those with one tube the share of it."""
