@@ -266,7 +266,9 @@ def sweep(
     ] = None,
     parameters: Set = None,
     method: Annotated[Literal["grid", "random", "lhs"], typer.Option(help="Where to look.")] = "grid",
-    count: Annotated[int, typer.Option("--points", min=1, help="How often, where it is no grid.")] = 100,
+    count: Annotated[
+        int | None, typer.Option("--points", min=1, help="How often, where it is no grid.", show_default="100")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random numbers.")] = 1,
     simulated: Annotated[bool, typer.Option("--simulate/--design", help="Whether to simulate too.")] = True,
     refine: Annotated[
@@ -277,12 +279,14 @@ def sweep(
     scheduler: Scheduler = None,
 ) -> None:
     """Design a spec at many values of its parameters: a table, curves or maps, and where proofs end."""
+    if method == "grid" and count is not None:
+        raise typer.BadParameter("a grid has its points in --sweep NAME=LOW:HIGH:POINTS", param_hint="--points")
     with refusals():
         from pwatrack.batch.find import run_name
         from pwatrack.batch.sweep import swept
 
         folder = out or Path("runs") / f"{run_name(spec_path)}-sweep"
-        where: Any = {"method": method, "count": count, "seed": seed, "refine": refine}
+        where: Any = {"method": method, "count": count or 100, "seed": seed, "refine": refine}
         how: Any = {"parameters": parameters or (), "simulated": simulated, "jobs": jobs, "scheduler": scheduler}
         code = swept(spec_path, ranges or (), folder, **where, **how)
     raise typer.Exit(code)

@@ -186,3 +186,49 @@ def test_members_of_an_ensemble_keep_them_too(tmp_path: Path) -> None:
     ended = call("simulate", path, "--ensemble", "20", "--out", tmp_path / "out")
     assert ended.exit_code == 6
     assert "of 20 members" in ended.output
+
+
+def test_a_load_that_steps_takes_its_part_at_any_time(tmp_path: Path) -> None:
+    """What a step leaves goes to 0, so it is none of what is left in the end: but it comes first."""
+    text = STOP.replace("reference", "design: {estimate: input}\nreference").replace("0.25*sin(2*t)", "0.1*sin(t)")
+    found = []
+    for step in ("", ", disturbance: {v: {step: {size: 3, at: 10.3}}}"):
+        path = written(
+            tmp_path, text.replace("INITIAL", f"INITIAL{step}"), "y: [-0.3, 0.3]", "initial: {plant: steady}"
+        )
+        found.append(kept(path))
+    still, stepping = found
+    assert still.promises
+    assert stepping.taken is None or stepping.taken[0] > 0.1
+    later = path.read_text(encoding="utf-8").replace("at: 10.3", "at: 25")  # after the run
+    path.write_text(later, encoding="utf-8")
+    spec = load_spec(path)
+    controller = design(spec)
+    said = " ".join(text for _, text in controller.claim(KeptLimits).rows(spec.words, controller))
+    assert "kept in this run" in said
+    assert "for good" not in said
+
+
+def test_noise_of_a_start_that_is_measured_is_part_of_it(tmp_path: Path) -> None:
+    """x' = −x + u from x_d on, x̂(0) = y: all of its error is noise, of up to 3 standard deviations."""
+    text = LAG.replace("[[2]]", "[[1]]").replace("[[-1.5]]", "[[-3]]").replace("[[-4]]", "[[-0.2]]")
+    text = text.replace("tracking: state, ", "").replace("{state: [0.2*sin(t)]}", "{output: {constant: 0.3}}")
+    noise = "initial: {plant: steady, observer: OBSERVER}, noise: {std: {y: 0.1}, sample_time: 0.05, seed: 8}"
+    paths = (
+        written(tmp_path / name, text, "x: [0.24, 0.36]", noise.replace("OBSERVER", name))
+        for name in ("steady", "measured")
+        if not (tmp_path / name).mkdir()
+    )
+    steady, measured = map(kept, paths)
+    assert any(one.of_this_run(steady.left) for one in steady.promises)
+    assert not any(one.of_this_run(measured.left) for one in measured.promises)
+
+
+def test_steps_of_inputs_are_not_counted_and_it_says_so(tmp_path: Path) -> None:
+    sampled = "quantum: {u: 0.5}, controller: {sample_time: 0.01}, noise: {std: {y: 1e-6}, sample_time: 0.1, seed: 1}"
+    path = written(tmp_path, STOP, "y: [-0.3, 0.3]", sampled)
+    spec = load_spec(path)
+    controller = design(spec)
+    said = [text for _, text in controller.claim(KeptLimits).rows(spec.words, controller)]
+    assert "what acts in this file but steps of inputs takes at most" in said[0]
+    assert all("with what acts in this file but steps of inputs, noise" in text for text in said[1:])

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, solve_continuous_are, solve_continuous_lyapunov
 
-from pwatrack import design, load_spec
+from pwatrack import design, load_spec, simulate
 from pwatrack.arrays import Array, IntArray
 from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.limits import NoSaturation
@@ -21,7 +21,7 @@ from pwatrack.lmi.audit.certificate import audit
 from pwatrack.lmi.ellipsoid import Inner
 from pwatrack.lmi.polynomial import Monomials
 from pwatrack.lmi.polynomial_region import AnyRegion, PolynomialRegion, region_around, scale_of
-from pwatrack.lmi.saturated import LimitedGain, SaturatedLoop
+from pwatrack.lmi.saturated import LimitedGain, Region, SaturatedLoop
 from pwatrack.model.conditions import Conditions
 from pwatrack.model.reference import exosystem
 from pwatrack.model.signal import ExponentialPolynomial, Signal
@@ -464,3 +464,39 @@ simulation: {{duration: 3, sample_time: 0.01, actuator: {{limits: {{F: [-10, 3]}
     content = json.loads((tmp_path / "out" / "certificate.json").read_text())
     assert any("V" in entry for entry in content["regions"])
     assert not audit(json.dumps(content))[1]
+
+
+IDLE = """
+name: Two actuators of which one does nothing
+system:
+  states: [x]
+  inputs: [a, b]
+  outputs: [y]
+  A: [[0.5]]
+  B: [[1, REACH]]
+  C: [[1]]
+  nonlinearities: [{name: k, kind: spring, of: x, slope: 1, into: {x: -1}}]
+design: {DESIGN}
+reference: {output: {sine: {amplitude: 0.5, frequency: 0.5}}}
+simulation:
+  duration: 5
+  sample_time: 0.1
+  actuator: {limits: {a: [-3, 3], b: [-1, 1]}}
+  controller: {sample_time: 0.1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("reach", "goal"),
+    [("0", ""), ("0.5", "controller: {K: [[-3], [0]]}")],
+    ids=["moves nothing", "is not used"],
+)
+def test_an_input_that_does_nothing_is_at_no_limit(tmp_path: Path, reach: str, goal: str) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(IDLE.replace("REACH", reach).replace("DESIGN", goal), encoding="utf-8")
+    spec = load_spec(path)
+    controller = design(spec)
+    regions = [one for claim in controller.claims_of(LimitedRegion) for one in claim.found]
+    assert regions
+    assert all(np.isfinite(one.held.H).all() for one in regions if isinstance(one.held, Region))
+    assert simulate(spec).outcome.kind == "tracks"

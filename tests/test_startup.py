@@ -130,7 +130,7 @@ def test_states_of_a_generator_have_names(specs: Path, tmp_path: Path) -> None:
     ("initial", "reference", "said"),
     [
         ("generator: stedy", "", "'stedy' is neither 'steady' nor a list or mapping"),
-        ("observer: steady", "", "'steady' is neither 'measured' nor a list or mapping"),
+        ("observer: stedy", "", "'stedy' is neither 'measured' or 'steady' nor a list or mapping"),
         ("plant: measured", "", "'measured' is neither 'steady' nor a list or mapping"),
     ],
 )

@@ -31,6 +31,7 @@ class SpecOutcome:
     messages: str = ""  # what it said on stderr
     faults: tuple[JobFault, ...] = ()  # what is wrong with it, one by one
     seconds: float = 0.0
+    kind: str = ""  # of the proof of a run that is done: practical, where it is not of exact tracking
 
     @staticmethod
     def of(spec: Path, folder: Path, ended: Ended, *, seconds: float, cached: bool = False) -> "SpecOutcome":
@@ -51,6 +52,7 @@ class SpecOutcome:
             messages=ended.messages,
             faults=ended.faults,
             seconds=seconds,
+            kind=_part(ended.index, "verdict", str),
         )
 
     @property
@@ -95,9 +97,9 @@ class SpecOutcome:
 
     @property
     def verdict(self) -> str:
-        """The exit code in words."""
-        if self.reason:
-            return self.reason
+        """The exit code in words; of a run that is done what is proved."""
+        if self.reason or (self.exit == ExitCode.DONE and self.kind):
+            return self.reason or self.kind
         return ExitCode(self.exit).verdict if self.exit in list(ExitCode) else "crashed"
 
     @property

@@ -29,6 +29,7 @@ PROOFS = (PROVED, POLYNOMIAL, PRACTICAL, NONE)  # kinds, the strongest first
 _TOLD = ("rate", "settling_time", "final_error")  # figures of which the best is said
 _LIMIT = 600.0  # s: for a point
 _TRIED = 20  # places at which a spec is read before it is refused for all
+_TIMES = 20  # that a log is told how far it is
 _HALVINGS = 60  # of an interval at most: more than a double has digits
 
 
@@ -317,12 +318,21 @@ def swept(
     """Sweep a spec as the command line does, over given ranges or those of the file; return its exit code."""
     fixed = assignments(parameters)
     axes = [axis(text) for text in ranges] or read_sweep(spec, fixed)[1]
+    if twice := sorted({one.name for one in axes} & fixed.keys()):
+        raise InvalidSpec(f"--set {twice[0]}: it varies in this sweep", hint="leave one of the two out")
     if not axes:
         raise InvalidSpec(f"{spec}: nothing varies", hint="--sweep k=0.1:0.9:17, or 'sweep' in the file")
     at = places(axes, method, count, seed)
     name = _name(spec, fixed, at)
+    told = console(stderr=True)
+
+    def progress(done: int, total: int) -> None:
+        status.update(f"{done:,} of {total:,}")
+        if not told.is_terminal and done * _TIMES // total > (done - 1) * _TIMES // total:
+            told.print(f"{done:,} of {total:,}")
+
     with (
-        console(stderr=True).status("Starting") as status,
+        told.status("Starting") as status,
         Cluster(scheduler, timeout=_LIMIT) if scheduler else Pool(jobs, timeout=_LIMIT, preload=PRELOAD) as executor,
     ):
         points, edges = sweep(
@@ -333,7 +343,7 @@ def swept(
             fixed=fixed,
             simulated=simulated,
             refine=refine if method == "grid" else None,
-            progress=lambda done, total: status.update(f"{done:,} of {total:,}"),
+            progress=progress,
         )
     screen = console()
     files = write_sweep(out, axes, points, edges)

@@ -18,6 +18,7 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Tol
 from pwatrack.control.headroom import SignalRoom
 from pwatrack.control.words import Words, down
 
+_OWN = "run", "ensemble"  # starts in which x̂(0) may be made of what is measured, with its noise
 _ROUNDING = 1e-12  # of what is left: what is subtracted is known to that
 
 
@@ -51,7 +52,12 @@ class KeptLimits(Claim):
         elif claim.left is None:
             yield replace(claim, missing="what disturbs may take all that is left")
         else:
-            yield replace(claim, promises=promises(controller, claim.left, room.starts, told, forms=signals.forms))
+            starts = list(room.starts)
+            if asked.measured is not None:
+                noise = np.array([signals.acting.get(("noise", k), 0.0) for k in range(len(controller.plant.C))])
+                off, loads = asked.measured * noise, len(controller.L) - len(controller.plant.B)
+                starts = [one.with_more(off, loads) if one.kind in _OWN else one for one in starts]
+            yield replace(claim, promises=promises(controller, claim.left, starts, told, forms=signals.forms))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:
         return {"limits": [promise.data for promise in self.promises if promise.held is not None]}
@@ -97,13 +103,14 @@ class KeptLimits(Claim):
             leaves = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit"
             if signals.acting and self.taken is not None:
                 much = f"{up(float(self.taken[k]))} {unit}".rstrip()
-                leaves += f"; what acts in this file takes at most {much}"
+                leaves += f"; what acts in this file{_but_steps(words)} takes at most {much}"
             yield f"{said}: {span}, which {leaves}"
 
     def _kept(self, words: Words, controller: ProvedController) -> Iterator[str]:
         """Yield from which starts all limits are kept, and which of them binds."""
         left, signals = self.left, self.signals
-        lasts = signals.room.ever and not any(kind == "disturbance" for kind, _ in signals.acting)  # else more may act
+        disturbance = words.conditions.beside(controller.plant.loads).disturbance  # after the run more of it may act
+        lasts = signals.room.ever and disturbance is None
         kept = f"these limits are kept {'for good' if lasts else 'in this run'}"
         kept += " along the reference of the file" * (words.conditions.pace is not None)
         acting = self._acting(words)
@@ -120,7 +127,7 @@ class KeptLimits(Claim):
         kinds, off = {kind for kind, _ in self.signals.acting}, words.off_limits
         noise = ", noise up to 3 standard deviations" * ("noise" in kinds)
         if kinds:
-            return f", with what acts in this file{noise}{off},"
+            return f", with what acts in this file{_but_steps(words)}{noise}{off},"
         return f" while nothing disturbs{off.replace(', while', ' and')}"
 
     def brief(self, words: Words, controller: ProvedController) -> Iterator[Row]:
@@ -129,6 +136,12 @@ class KeptLimits(Claim):
         for promise in self.promises:
             if promise.of_this_run(self.left):
                 yield "ideal loop", f"limits of {names} kept from this start{self._acting(words).removesuffix(',')}"
+
+
+def _but_steps(words: Words) -> str:
+    """Say that steps of inputs are not counted, where there are some: they are none of the loop as designed."""
+    quanta = words.conditions.quanta
+    return " but steps of inputs" * (quanta is not None and bool(quanta.inputs.any()))
 
 
 def _between(low: float, high: float) -> str:

@@ -153,7 +153,7 @@ class Practical(Claim):
         ends = words.limits((form, size) for form, size in self.final.items() if form[0] == tracked)
         constant, widths = up(1 / controller.guarantees.rate), ", ".join(_width_text(words, m) for m in self.merges)
         said = f"proved: in the end {', '.join(ends)} from every start, time constant {constant} s"
-        yield "ideal loop", f"{said}; {ideal(controller, words)}; no exact tracking is possible: {widths}"
+        yield "ideal loop", f"{said}; {ideal(controller, words)}; exact tracking is refused: {widths}"
 
 
 def least_merges(

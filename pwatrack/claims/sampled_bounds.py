@@ -128,8 +128,8 @@ class TubeBounds(Claim):
         last, sizes = self._last(controller), controller.sizes
         of = {"output": sizes.tracked, "state": sizes.state, "input": sizes.input, "estimate": sizes.state}
         least = {form: CLOSE * float(of[form[0]][form[1]]) for form in self.from_zero}
-        ends = {form: max(float(most[last].max()), least[form]) for form, most in self.from_zero.items()}
-        return {form: rounded_up(most, _DIGITS) for form, most in ends.items()}
+        ends = {form: float(most[last].max()) for form, most in self.from_zero.items()}
+        return {form: rounded_up(max(most, least[form]) if most else 0.0, _DIGITS) for form, most in ends.items()}
 
     def ends_by(self, controller: ProvedController, form: Form) -> dict[Channel, float]:
         """Return what each channel leaves of a signal there at most; of those with one tube the share of it."""

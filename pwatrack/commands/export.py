@@ -163,6 +163,11 @@ def of_spec(spec: Spec, sample_time: float | None = None, given: bool = False, s
     conditions = spec.scenario.conditions
     if sample_time is not None:
         sampling = replace(conditions.sampling or Sampling(sample_time=sample_time), sample_time=sample_time)
+        if sampling.jitter >= sample_time:
+            message = (
+                f"--sample-time {sample_time:g}: the file has a jitter of {sampling.jitter:g} s, which is not below it"
+            )
+            raise InvalidSpec(message, hint="a longer one, or less jitter in the file")
         spec = replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
     controller = pipeline.design(spec, growing=True)
     found = _simulated(spec, controller, None, given, steps)

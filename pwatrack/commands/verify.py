@@ -100,7 +100,7 @@ def verify(path: Path, spec: Path | None = None) -> list[str]:
     beside = file.parent / REFUSAL
     if file.name == CERTIFICATE and content.get("practical") is not None and beside.is_file():
         verify(beside, spec)
-        said.append(f"{REFUSAL} beside it proves that exact tracking is impossible")
+        said.append(f"{REFUSAL} beside it proves why exact tracking is refused")
     return said
 
 
@@ -200,8 +200,9 @@ def _missed(goal: Goal, norm: float, proofs: list[dict[str, Any]]) -> Iterator[s
 def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: list[str], faults: list[str]) -> None:
     """Make a certificate and the files beside it again, and add what was compared and what differs."""
     known = _json(folder / CONTROLLER)
-    if spec.scenario.conditions.sampling is None and known is not None and known.get("program"):  # that of an export
-        spec = with_sampling(spec, Sampled.model_validate(known["program"]))
+    if known is not None and known.get("program"):
+        exported = not (folder / INDEX).is_file()  # perhaps with a sample time of its own
+        spec = with_sampling(spec, Sampled.model_validate(known["program"]), instead=exported)
     try:
         controller = told_design(spec, content)
         if controller.trajectory.preview is not None and known is not None:

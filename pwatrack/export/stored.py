@@ -336,10 +336,10 @@ def with_played(spec: Spec, played: dict[str, Any]) -> Spec:
     return replace(spec, problem=replace(spec.problem, reference=replace(reference, played=played)))
 
 
-def with_sampling(spec: Spec, program: Sampled | None) -> Spec:
-    """Return a spec that says no sample time with that of a program, if there is one."""
+def with_sampling(spec: Spec, program: Sampled | None, *, instead: bool = False) -> Spec:
+    """Return a spec that says no sample time with that of a program, if there is one; or any with it `instead`."""
     conditions = spec.scenario.conditions
-    if program is None or conditions.sampling is not None:
+    if program is None or (conditions.sampling is not None and not instead):
         return spec
     return replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=program.sampling)))
 

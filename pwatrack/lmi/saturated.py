@@ -162,7 +162,13 @@ class SaturatedLoop:
             return
         V, inside = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
-        units = np.maximum(np.linalg.norm(D, axis=1), 1e-300)  # in which D is 1
+        units = np.linalg.norm(D, axis=1)  # in which D is 1
+        room, units = (
+            np.where(units > 0, room, 0.0),
+            np.where(units > 0, units, 1.0),
+        )  # an input that is not used: H = 0
+        if not room.any():
+            return
         speed, G = max(float(np.abs(inside).max()), 1e-300), solve_triangular(V, G[:, acts], lower=True)
         size, room = float(np.linalg.norm(G, 2)), room / units / float((room / units).max())
         free = solve_triangular(V, free, lower=True)

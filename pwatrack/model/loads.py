@@ -92,7 +92,8 @@ class Loads:
         (n, m), found = B.shape, []
         if self.E.radius is not None or B.radius is not None or len(self.where) < self.S.shape[0]:
             return None
-        if int(np.linalg.matrix_rank(B.floats / np.linalg.norm(B.floats, axis=0))) < m:
+        sizes = np.linalg.norm(B.floats, axis=0)
+        if int(np.linalg.matrix_rank(B.floats / np.where(sizes, sizes, 1.0))) < m:
             return None
         columns = [B.part(range(n), [k]).centre for k in range(m)]
         for k in range(self.E.shape[1]):

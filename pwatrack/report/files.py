@@ -101,6 +101,7 @@ def write(
         index["ensemble"] = ensemble_measures(found.many)
     if found.missed:
         index["exit"] = int(ExitCode.CHECK_FAILED)
+    index["remarks"] += [f"required: {text}" for _, text in found.not_looked_at]
     if found.checked:
         index["requirements"] = [each.content for each in found.checked]
     said = "" if broken is None else "; ".join(problem.message for problem in broken.problems)

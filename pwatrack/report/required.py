@@ -48,6 +48,11 @@ class Checked:
     short: str  # the text for the first screen
 
     @property
+    def scale(self) -> float:
+        """By what its figures are multiplied to be in its unit: shares are said in percent."""
+        return _scale(self.requirement)
+
+    @property
     def content(self) -> dict[str, Any]:
         """What run.json says of it; a time that never comes is None."""
         asked = self.requirement
@@ -139,7 +144,8 @@ def _checked(
     kept = sum(asked.met(value) and k not in sampled for k, value in values.items())
     of_range = asked.quantity.per == "limited"
     label = f"{asked.figure if of_range else asked.subject[-1]} of {signal}" if signal else asked.figure
-    came, limit = _texts(values[worst], asked.limit, unit, never=best == "at most")
+    scale = _scale(asked)
+    came, limit = _texts(scale * values[worst], scale * asked.limit, unit, never=best == "at most")
     came += " at the samples, not known between them" * (worst in sampled)
     came += f", known to {up(rounded)} {unit}".rstrip() * (rounded > 0)
     if asked.share is None:
@@ -175,11 +181,14 @@ def _unit(spec: Spec, controller: ProvedController, asked: Requirement, signal: 
     return quantity.unit
 
 
+def _scale(asked: Requirement) -> float:
+    return 100.0 if asked.quantity.share else 1.0
+
+
 def _texts(value: float, limit: float, unit: str, *, never: bool) -> tuple[str, str]:
     """Return two numbers with their unit, and enough digits to tell them apart; `never`: of what is best small."""
-    scale = 100.0 if unit == "%" else 1.0
     for digits in (4, 6, 9, 17):
-        came, asked = (format(v * scale, f".{digits}g") for v in (value, limit))
+        came, asked = (format(v, f".{digits}g") for v in (value, limit))
         if came != asked or value == limit:
             break
     endless = "never" if never else "without end"

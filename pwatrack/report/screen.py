@@ -158,6 +158,9 @@ def _verdict(found: Findings, *, whole: bool) -> str:
     if ended == "off" and not _as_required(found):
         return f"NOT READY: error above 1 %{without}"
     ended = "as required" if ended == "off" else ended
+    others = 0 if many is None else sum(outcome.kind not in ("tracks", "within its bound") for outcome in many.outcomes)
+    if others and many is not None and not _as_required(found):
+        return f"NOT READY: {others:,} of {amount(len(many.outcomes), 'member')} off{without}"
     if assessment.warnings:
         return f"NOT READY: {amount(len(assessment.warnings), 'warning')}{without}"
     if assessment.questions:
@@ -251,7 +254,9 @@ def _beyond(found: Findings) -> Iterator[str]:
     if found.assessment.ends:
         taken = any(claim.ends_below(controller) for claim in controller.claims_of(SampledBounds))
         steps = conditions.quanta is not None and bool(conditions.quanta.inputs.any()) and not taken
-        conditions = replace(conditions, noise=None, disturbance=None, quanta=conditions.quanta if steps else None)
+        conditions = replace(conditions, noise=None, quanta=conditions.quanta if steps else None)
+        if taken or any(kind == "disturbance" for kind, _ in found.assessment.acting):
+            conditions = replace(conditions, disturbance=None)  # else it is of loads that step
     if controller.claims_of(SampledLoop):  # which says so itself
         conditions = replace(conditions, sampling=None)
     boxes = controller.claims_of(SampledBox)

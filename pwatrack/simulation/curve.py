@@ -27,6 +27,7 @@ DEGREE = 9  # of the polynomials that are played back
 _MOST_TURN = 1.0  # |rate| times length of a stretch: so short that the Taylor polynomial below is exact
 _TAYLOR = 20  # of the Taylor polynomials: 1 / 21! is 2e-20, and 2^10.5 / 21! for what is damped as fast as it turns
 _UNIT = (_TAYLOR + 4) * EPS  # of the sum of the sizes of all terms: what a coefficient may be off by
+_NEAR = 1e-6  # of its size: what two processors may make of a bounded solution, and more
 _GRAZING = 4.0  # times what a guard may be off by: if it is nowhere larger it may be halved for ever
 _SHARP, _DEEP = 1.25, 6  # a residual that is said is at most so many times one attained, after so many halvings
 _MOST = 4_000_000  # stretches in all
@@ -46,6 +47,18 @@ class Pieces:
     length: Array  # in s
     c: Array  # (N, p, K)
     of: IntArray  # the stay that each is in, or the piece that it is cut from
+
+    def at(self, t: Array) -> Array:
+        """Return η at times in s, (T, p)."""
+        k = np.maximum(np.searchsorted(self.start, t, side="right") - 1, 0)
+        powers = (t - self.start[k])[:, None] ** np.arange(self.c.shape[2])
+        return np.asarray(np.einsum("tpj,tj->tp", self.c[k], powers))
+
+    def is_near(self, other: "Pieces") -> bool:
+        """Say whether two curves of one equation are one: what grows, forward or backward, is seen at its ends."""
+        t = np.concatenate([self.start, self.start + self.length / 2, other.start, self.start[-1:] + self.length[-1:]])
+        here, there = self.at(t), other.at(t)
+        return bool((np.abs(here - there) <= _NEAR * np.abs(here).max(axis=0)).all())
 
     def is_one_with(self, other: "Pieces") -> bool:
         """Say whether they are the same, but for rounding of their numbers in a file."""

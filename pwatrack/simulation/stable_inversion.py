@@ -50,7 +50,7 @@ def bounded_solution(
     A reference with a period is taken to repeat, before and after; any other to go on as its last piece does. The
     stable part then starts as if the first piece had been there before. Returned are one signal per η, up to a time in
     s, and what is known of them. Raises Undecided if Newton's method does not settle. Where another one is told of this
-    very reference, see `told_pieces`, what is known of that is found.
+    very reference, see `told_pieces`, that is nowhere far from it, what is known of that is found.
     """
     system = trajectory.exosystem
     poles = np.linalg.eigvals(trajectory.rate[:, :, : trajectory.rate.shape[1]])
@@ -66,7 +66,7 @@ def bounded_solution(
     pieces = _Problem(trajectory, first, last, periodic=repeats).solve().pieces(duration)
     if told is not None and is_of(told, system):
         other = told_pieces(told, len(system.w0), period, duration)
-        pieces = pieces if pieces.is_one_with(other) else other
+        pieces = other if pieces.is_near(other) and not pieces.is_one_with(other) else pieces
     signals, preview = played(trajectory, pieces, turns, period or 0.0)
     return signals, replace(preview, lead=_lead(trajectory, signals, duration))
 

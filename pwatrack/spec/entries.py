@@ -157,7 +157,12 @@ def _name(value: str) -> str:
     if len(value) > _LONGEST_NAME:
         raise ValueError(f"a name has {len(value)} characters, at most {_LONGEST_NAME} are read")
     if value in RESERVED or keyword.iskeyword(value):
-        raise ValueError(f"'{value}' has a meaning of its own in expressions: choose another name")
+        what = (
+            "has a meaning of its own in expressions"
+            if value in RESERVED
+            else "is a word of Python's, which reads them"
+        )
+        raise ValueError(f"'{value}' {what}: choose another name")
     return value
 
 
@@ -271,7 +276,7 @@ _InOrder = Annotated[list[Number], Tag("in order")]
 _KIND = Discriminator(
     lambda value: "a word" if isinstance(value, str) else "by name" if isinstance(value, dict) else "in order"
 )
-StartOrMeasured = Annotated[Annotated[Literal["measured"], Tag("a word")] | _ByName | _InOrder, _KIND]
+StartOrWord = Annotated[Annotated[Literal["measured", "steady"], Tag("a word")] | _ByName | _InOrder, _KIND]
 StartOrSteady = Annotated[Annotated[Literal["steady"], Tag("a word")] | _ByName | _InOrder, _KIND]
 ShareOrInterval = Annotated[
     Real | tuple[Real, Real], PlainValidator(_share_or_interval), WithJsonSchema({"anyOf": [_TEXT, UPWARD]})

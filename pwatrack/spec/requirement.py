@@ -209,9 +209,7 @@ def _limit(value: Any, quantity: Quantity, unit: str, context: Context) -> float
     """Return a number that is not negative; a share may be written in percent, and what has a `unit` in another one."""
     if not isinstance(value, str):
         raise ValueError("a number or an expression is expected")
-    if value.rstrip().endswith("%"):
-        if not quantity.share:
-            raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
+    if quantity.share and value.rstrip().endswith("%"):
         limit = float(sized_real(value.rstrip()[:-1], context)) / 100
     else:
         found = _in_unit(value, unit, context, difference=quantity.per == "errors" or quantity.unit == "of the error")
@@ -223,6 +221,10 @@ def _limit(value: Any, quantity: Quantity, unit: str, context: Context) -> float
 
 def _in_unit(value: Any, unit: str, context: Context, *, difference: bool = False) -> Any:
     """Return the number of a text such as '0.5 mm' in the unit of what it limits; what has no unit as it is."""
+    if isinstance(value, str) and value.rstrip().endswith("%"):
+        if unit != "%":
+            raise ValueError(f"{shown(value)}: percent of what? a number in the unit of the figure is expected")
+        return value.rstrip()[:-1]
     number, given = split(value) if isinstance(value, str) else (value, "")
     return float(sized_real(number, context)) * times(given, unit, difference=difference) if given else value
 

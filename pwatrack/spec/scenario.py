@@ -263,7 +263,7 @@ def _initial_states(section: InitialSection, states: Sequence[str]) -> InitialSt
     eta = Steady() if isinstance(generator, str) else readonly(generator) if isinstance(generator, list) else generator
     return InitialStates(
         plant=Steady() if isinstance(plant, str) else start(plant),
-        observer=Measured() if isinstance(observer, str) else start(observer),
+        observer=(Measured() if observer == "measured" else Steady()) if isinstance(observer, str) else start(observer),
         generator=eta,
     )
 

@@ -244,9 +244,13 @@ def _fault(item: Any, subject: Subject, *, guessed: bool) -> str:
         value, word = item["input"], context["expected"]
         found = shown(value) if isinstance(value, str) else "a mapping" if isinstance(value, dict) else "a list"
         either = "a word" in item["loc"]  # or numbers
-        return f": {found} is neither {word} nor a list or mapping" if either else f": {found} is not {word}"
+        meant = guess(value, re.findall(r"'([^']*)'", word)) if isinstance(value, str) and guessed else ""
+        return (
+            f": {found} is neither {word} nor a list or mapping{meant}" if either else f": {found} is not {word}{meant}"
+        )
     if kind == "union_tag_invalid":
-        return f": kind {shown(str(context['tag']))} is none of {context['expected_tags']}"
+        meant = guess(str(context["tag"]), re.findall(r"'([^']*)'", context["expected_tags"])) if guessed else ""
+        return f": kind {shown(str(context['tag']))} is none of {context['expected_tags']}{meant}"
     if isinstance(cause, UnknownName):
         return f": {cause}{cause.guess if guessed else ''}"
     return f": {cause or item['msg'][0].lower() + item['msg'][1:]}"

@@ -16,8 +16,8 @@ from pwatrack.spec.entries import (
     NotNegative,
     Number,
     Positive,
-    StartOrMeasured,
     StartOrSteady,
+    StartOrWord,
     Whole,
     whole,
 )
@@ -40,7 +40,7 @@ class InitialSection(Section):
     """
 
     plant: Annotated[StartOrSteady, _OF_STATES, shaped("states")] | None = None
-    observer: Annotated[StartOrMeasured, _OF_STATES, shaped("states")] | None = None
+    observer: Annotated[StartOrWord, _OF_STATES, shaped("states")] | None = None
     generator: StartOrSteady | None = None
 
 
@@ -208,6 +208,7 @@ class SimulationSection(Section):
         if self.initial.observer == "measured" and regions.observer is not None:
             hint = "leave it out, or 'observer: measured' under simulation.initial"
             yield Fault(": each observer starts from what is measured then", (*at, "observer"), hint)
-        if self.initial.plant == "steady" and regions.plant is not None:
-            hint = "give its start under simulation.initial in numbers"
-            yield Fault(": where 'plant: steady' is, is not known before the design", (*at, "plant"), hint)
+        for part in ("plant", "observer"):
+            if getattr(self.initial, part) == "steady" and getattr(regions, part) is not None:
+                hint = "give its start under simulation.initial in numbers"
+                yield Fault(f": where '{part}: steady' is, is not known before the design", (*at, part), hint)

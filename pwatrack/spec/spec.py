@@ -62,7 +62,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Steady:
-    """A start in steady state for the reference as it begins: of the generator, or of the plant, on x_d."""
+    """A start in steady state for the reference as it begins: of the generator, or of plant and observer, on x_d."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ class InitialStates:
     """
 
     plant: Array | Steady | None = None
-    observer: Array | Measured | None = None
+    observer: Array | Measured | Steady | None = None
     generator: Array | Mapping[str, float] | Steady | None = None
 
 

@@ -68,14 +68,14 @@ def bands(loop: ClosedLoop, response: Response, box: Box, w: Array | None) -> di
     return controller.with_left(found)
 
 
-def declared(spec: Spec, controller: ProvedController) -> dict[Channel, float]:
+def declared(spec: Spec, controller: ProvedController, *, always: bool = False) -> dict[Channel, float]:
     """Return how large noise, with half of a sensor's step, and each disturbance of a file is, enclosed; no load.
 
-    A load that steps is none either: what a step leaves goes to 0.
+    A load that steps is none either, as what a step leaves goes to 0, but for what is said `always` and not in the end.
     """
     conditions, acting = spec.scenario.conditions.beside(controller.plant.loads), dict[Channel, float]()
     noise, quanta = conditions.noise, conditions.quanta
-    disturbance = None if _steps(controller, conditions) else conditions.disturbance
+    disturbance = None if _steps(controller, conditions) and not always else conditions.disturbance
     sensors = np.zeros(len(controller.plant.C)) if noise is None else SIGMAS * noise.std
     sensors = sensors if quanta is None else sensors + quanta.outputs / 2
     acting |= {("noise", k): float(sensors[k]) for k in np.flatnonzero(sensors).tolist()}

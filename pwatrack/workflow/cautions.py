@@ -91,6 +91,8 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
         said = [text for name, text in acts.items() if getattr(conditions, name) is not None]
         said += ["any parameters of the box"] * others
         ends, condition = known.ends_below(controller), f"under {', '.join(said)}" if said else ""
+    elif any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
+        ends = {}  # those are of another loop than the one that is proved as it runs
 
     def made_of(form: Form) -> dict[str, float]:
         if known is not None:

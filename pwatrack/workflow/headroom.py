@@ -31,6 +31,8 @@ from pwatrack.workflow.tracking import generator_start, plant_start, starts_of
 _STILL = 1e-12  # of the terms of w': what is less is rounding
 _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays in its cell, whatever rounding does
 _HALVINGS = 12  # of a limit of set-points, until it is known how much of it would do
+_RESTING = Fraction(1, 10**6)  # of what moves set-points: as good as 0
+_IN_RANGE = "however slow they move, they are: take a smaller range away from there, or a wider limit of the input"
 _NOT_FOUND = "no ellipsoid was found that the internal states stay in"
 
 
@@ -67,7 +69,7 @@ def room_of_signals(spec: Spec, controller: ProvedController) -> SignalRoom | No
     known = controller.running is plant and plant.loads is None
     said = [f"the reference goes to {name}" if known or own else "" for name, own in zip(names, itself, strict=True)]
     _check(spec, room, said, [("require", "limits", name) for name in names], "widen the limit")
-    return SignalRoom(names=names, forms=forms, room=room, acting=declared(spec, controller))
+    return SignalRoom(names=names, forms=forms, room=room, acting=declared(spec, controller, always=True))
 
 
 def _room(spec: Spec, trajectory: DesiredTrajectory, sizes: Sizes, limits: Array, gains: Array) -> Headroom:
@@ -184,10 +186,19 @@ def _check_demand(spec: Spec, generator: TrajectoryGenerator, found: Demand, lim
         unit, ends = spec.problem.units.get(names[k], ""), (found.low, found.high)[side]
         message = _beyond_text(f"set-points may take {names[k]}", ends[k], limits[k, side], side, unit)
         within = f"it is within with {' or '.join(would)}"
-        hint = within if would else "no limit of them by itself would do: lower several"
+        slower = "no limit of them by itself would do: lower several"
+        hint = within if would else _IN_RANGE if _however_slow(generator, found.kept, limits) else slower
         problems.append(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
     if problems:
         raise OutsideTheory(*problems)
+
+
+def _however_slow(generator: TrajectoryGenerator, kept: Kept, limits: Array) -> bool:
+    """Say whether set-points are beyond limits with all that moves them nearly 0: then it is their range."""
+    for k in range(len(kept.box)):
+        if kept.of_output(k)[1]:
+            kept = kept.times(k, _RESTING)
+    return bool(demand(generator, kept).beyond(limits))
 
 
 def _would_do(spec: Spec, generator: TrajectoryGenerator, kept: Kept, limits: Array) -> Sequence[str]:

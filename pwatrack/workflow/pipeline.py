@@ -45,7 +45,7 @@ from pwatrack.workflow.tracking import (
     check_unknown,
     desired_trajectory,
     generator_start,
-    initial_values,
+    observer_start,
     plant_start,
     start_fixed,
     start_given_twice,
@@ -149,7 +149,7 @@ def _late(spec: Spec, controller: ProvedController, errors: SampledErrors, noise
             read = from_measured(controller.sizes, controller.plant.C)
             x_hat, off = read @ controller.plant.C @ x, np.abs(read) @ noise
         else:
-            x_hat, off = initial_values(initial.observer, n, "observer"), np.zeros(n)
+            x_hat, off = observer_start(spec, controller.trajectory, eta), np.zeros(n)
         return late_start(controller, spec.scenario.conditions, errors, (x, x_hat, eta), off=off, noise=noise)
     return None
 
@@ -252,14 +252,14 @@ def simulate(
 
 def start_of(spec: Spec, loop: ClosedLoop) -> tuple[Array, SteadyState | None]:
     """Return z(0), as a spec says it, once, and a period of the generator's steady state where it has one."""
-    controller, initial, n = loop.controller, spec.scenario.initial, spec.problem.plant.A.shape[1]
+    controller, initial = loop.controller, spec.scenario.initial
     if start_fixed(spec, controller) and not isinstance(initial.generator, Steady | None):
         raise start_given_twice(("simulation", "initial", "generator"))
     eta, steady_state, x = _plant_and_generator_start(spec, controller)
     observer = (
         measured_start(loop, x)
         if isinstance(initial.observer, Measured)
-        else initial_values(initial.observer, n, "observer")
+        else observer_start(spec, controller.trajectory, eta)
     )
     return loop.start(plant=x, observer=observer, generator=eta), steady_state
 

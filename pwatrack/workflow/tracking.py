@@ -267,13 +267,16 @@ def generator_start(spec: Spec, trajectory: DesiredTrajectory) -> Array:
 
 
 def start_remarks(spec: Spec, trajectory: DesiredTrajectory) -> tuple[str, ...]:
-    """Say what was taken where a steady state is asked for that there is not."""
-    initial = spec.scenario.initial
+    """Say what was taken where a steady state is asked for that there is not, and where x̂ begins beside one."""
+    initial, found = spec.scenario.initial, list[str]()
     asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), Steady)]
-    if not asked or trajectory.eta0 is not None:
-        return ()
-    said = consistent_start(trajectory, trajectory.generator)[1]
-    return (f"simulation.initial.{asked[-1]}: there is no steady state: {said}",) if said else ()
+    if asked and trajectory.eta0 is None and (said := consistent_start(trajectory, trajectory.generator)[1]):
+        found.append(f"simulation.initial.{asked[-1]}: there is no steady state: {said}")
+    if isinstance(initial.plant, Steady) and initial.observer is None:
+        found.append(
+            "simulation.initial: the plant begins on x_d, its observer at 0: 'observer: steady' begins there too"
+        )
+    return tuple(found)
 
 
 def plant_start(spec: Spec, trajectory: DesiredTrajectory, eta: Array | None = None) -> Array:
@@ -286,6 +289,15 @@ def plant_start(spec: Spec, trajectory: DesiredTrajectory, eta: Array | None = N
         return initial_values(given, len(spec.problem.plant.states), "plant")
     eta = consistent_start(trajectory, trajectory.generator)[0] if eta is None else eta
     return trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
+
+
+def observer_start(spec: Spec, trajectory: DesiredTrajectory, eta: Array) -> Array:
+    """Return x̂(0), where it is not what is measured; in steady state it is x_d(0), as η̂(0) has it."""
+    given = spec.scenario.initial.observer
+    assert not isinstance(given, Measured)
+    if isinstance(given, Steady):
+        return trajectory.state(np.concatenate([eta, trajectory.exosystem.w0, [1.0]]))
+    return initial_values(given, len(spec.problem.plant.states), "observer")
 
 
 def initial_values(values: Array | None, length: int, part: str) -> Array:
@@ -321,7 +333,7 @@ def starts_of(
         if isinstance(initial.observer, Measured):
             x_hat, own = from_measured(sizes, plant.C) @ plant.C @ x, np.zeros((n, 0))
         else:
-            start = _columns(varied.get("observer"), initial_values(initial.observer, n, "observer"))
+            start = _columns(varied.get("observer"), observer_start(spec, trajectory, eta))
             x_hat, own = np.hstack([start[:, :1], np.zeros((n, x.shape[1] - 1))]), start[:, 1:]
         e = np.hstack([x, np.zeros(own.shape)])
         e[:, 0] -= x_d

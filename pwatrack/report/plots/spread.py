@@ -94,7 +94,7 @@ def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
 
 def _strip(axes: Axes, checked: Checked) -> None:
     """Draw a figure of all members beside what is required of it; those that it never comes to are counted."""
-    unit, scale = checked.unit, 100.0 if checked.unit == "%" else 1.0
+    unit, scale = checked.unit, checked.scale
     limit = scale * checked.requirement.limit
     values = scale * np.array(checked.members)
     found = values[np.isfinite(values)]
