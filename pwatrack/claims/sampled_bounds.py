@@ -41,6 +41,7 @@ from pwatrack.lmi.clocked_tubes import Tube
 _ROUNDED = 1e-9  # of a time in ticks
 _MOST = 300_000  # work of one proof times tubes that are looked for: an auditor decides each, in 10 steps for each
 _LONGEST = 3e11  # tubes times the cube of the unknowns of each: two minutes
+_ALONE = 4e6  # tubes of one each times the square of the unknowns: ten seconds; one of several leaves a tenth more
 _CORNERS = 64  # of boxes of flows, up to which each is looked at for tubes: bounds are up to a half less then
 _END = 10  # the end of a run is a tenth of it
 _DIGITS = 4  # of what is told
@@ -90,7 +91,8 @@ class TubeBounds(Claim):
         unknowns = len(proof.P) * self.errors.order * (self.errors.order + 1) // 2
         for each, errors in product((acts, few, None, last), (opened, self.errors)):
             tubes = KINDS if each is None else len([*each.squares, *each.means])
-            if tubes * work(errors) <= _MOST and tubes * unknowns**3 <= _LONGEST:
+            quick = each is None or tubes * unknowns**2 <= _ALONE
+            if quick and tubes * work(errors) <= _MOST and tubes * unknowns**3 <= _LONGEST:
                 return each, errors
         return None, None
 

@@ -32,7 +32,9 @@ _NONE = 1e-14  # of the data: what v lacks is rounding
 _STALLED = 0.1  # of the gap that is wanted: where it is so small, and the multipliers are still off, they stay so
 _PATIENCE, _FALLEN = 5, 0.7  # iterations, and what the gap falls to in them: else rounding allows no less
 _SIGN, _SOON = 0.5, 0.1  # gap above which a sign is all that is asked for, and the one that leads to it soonest
-_LOST = 1e3  # times the least gap so far, where the constraints are satisfied: there rounding is all that makes it grow
+# times the least gap so far, where the constraints are satisfied: there rounding is all that makes it grow; elsewhere
+# the multipliers do, as nothing satisfies all
+_LOST = 1e3
 _LEAST_GAP = 1e-12  # at which it ends where the objective is near 0
 _MOST = 60  # iterations: answers that count take at most 50
 _SHORTER = 0.8  # times the step, where a matrix is not definite after it
@@ -113,12 +115,12 @@ def least(linear: LinearMap, *, gap: float, against: float | None = None, near: 
     """
     with _threads().limit(limits=1, user_api="blas"), np.errstate(all="ignore"):
         begun = None if near is None else _centred(linear, near)
-        found = None if begun is None else _minimise(linear, begun, gap, against, 0.0)
+        found = None if begun is None else _minimise(linear, begun, gap, against, 0.0, proof=False)
         rest = None if found is None else _Rest(linear, found[0])
         good = rest is not None and against is not None and rest.objective < against
         known = rest is not None and np.abs(rest.slope).max() <= _ROUNDED * (1 + np.abs(linear.cost).max())
         if not (good or known):  # multipliers do not say how good v is
-            found = _minimise(linear, _start(linear), gap, against, 0.0)
+            found = _minimise(linear, _start(linear), gap, against, 0.0, proof=False)
     return None if found is None or found[2] else found[0].v
 
 
@@ -134,9 +136,12 @@ def _threads() -> ThreadpoolController:
 
 
 def _minimise(
-    linear: LinearMap, at: _Iterate, share: float, against: float | None, nothing: float
+    linear: LinearMap, at: _Iterate, share: float, against: float | None, nothing: float, *, proof: bool = True
 ) -> tuple[_Iterate, int, bool] | None:
-    """Return the last iterate that satisfies the constraints, its number, and whether it says that none can."""
+    """Return the last iterate that satisfies the constraints, its number, and whether it says that none can.
+
+    Where no `proof` of that is wanted it ends as soon as nothing else would come.
+    """
     best, gaps, lowest = None, list[float](), np.inf
     aim = 1.0 if share <= _SIGN else _SOON / share
     units = [1 + float(np.abs(x).max()) for x in (linear.constant, linear.cost)]
@@ -149,7 +154,7 @@ def _minimise(
         wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
         lowest = min(lowest, gap)
-        if not 0 < gap < np.inf or (best is not None and gap > _LOST * lowest):
+        if not 0 < gap < np.inf or ((best is not None or not proof) and gap > _LOST * lowest):
             break
         if not max(off) <= _OFF and rest.impossible:
             return at, number, True

@@ -18,7 +18,7 @@ linear matrix inequalities, Automatica, 1996).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -37,6 +37,8 @@ _DECAYS = (1e-3, 1e-5)  # of the speed of the loop: what V falls with at least, 
 _DECAY = 1e-3  # of the speed of the plant, of a gain that is sought: what V falls with at a limit, at least
 _LEAST, _LARGEST = 1e-4, 1e6  # Q, where starts have size 1
 _ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
+_MANY, _FIRST, _ROUNDS = 64, 16, 12  # inequalities up to which all are asked; else how many at first, and more so often
+_MISSED = 1e-3  # of the decay: what any that is not asked may miss
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,8 @@ class SaturatedLoop:
     B: BallMatrix  # of the inputs that have limits, (N, m)
     D: BallMatrix  # likewise, (m, N)
     inners: Sequence[Inner]  # Q of the loop without limits: they say which coordinates are good ones
+    # of so many inequalities those that are known to bind: what one search finds out serves the next
+    known: dict[int, set[int]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def work(self) -> int:
@@ -174,19 +178,35 @@ class SaturatedLoop:
         free = solve_triangular(V, free, lower=True)
         for decay in [2 * rate / speed for rate in rates] or _DECAYS:
             found = _largest(
-                inside / speed, B * units / speed, D / units[:, None], G / size, room, decay, free, 2 * most / speed
+                inside / speed,
+                B * units / speed,
+                D / units[:, None],
+                G / size,
+                room,
+                decay,
+                free,
+                2 * most / speed,
+                self.known,
             )
             if found is not None:
                 yield size, V, speed, units, found
 
 
 def _largest(
-    M: Array, B: Array, D: Array, G: Array, room: Array, decay: float, free: Array, most: float
+    M: Array,
+    B: Array,
+    D: Array,
+    G: Array,
+    room: Array,
+    decay: float,
+    free: Array,
+    most: float,
+    known: dict[int, set[int]],
 ) -> dict[str, Array] | None:
     """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²; Z is H Q.
 
     With T and X too, B T + free X in place of B T, where a gain is `free`. In floating point, in coordinates in which
-    ū_j and the loop are of size 1.
+    ū_j and the loop are of size 1. Of many inequalities few bind: those that are `known` to, and what these leave.
     """
     (N, k), m, eye = G.shape, len(D), np.eye(len(D))
     mask = (room > 0).astype(float)[:, None]
@@ -206,15 +226,27 @@ def _largest(
             for corner, side in ((-change - decay * Q, rest + moved), (change + most * Q, rest - moved)):
                 yield np.block([[corner, side], [side.transpose(0, 2, 1), 2 * T]])
 
+    falling, count = (falls_with, 2 * len(M)) if free.size else (falls, 2**m * len(M))
+    first = np.linspace(0, count - 1, _FIRST if count > _MANY else count).astype(int).tolist()
+    asked = known.setdefault(count, set(first))
+
     def blocks(x: Unknowns) -> Iterator[Array]:
-        yield from falls_with(x) if free.size else falls(x)
+        yield from (X for j, X in enumerate(falling(x)) if j in asked)
         yield from _inside(x, {"w": G})
         for j in np.flatnonzero(mask).tolist():
             yield _bounded(x["Q"], (x["Z"] * mask)[:, j : j + 1] / room[j], x["t"])
 
     shapes: dict[str, tuple[int, ...]] = {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}
-    found = minimised({**shapes, "T": (m,), "X": (free.shape[1], m)} if free.size else shapes, blocks)
-    return None if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0 else found
+    for _ in range(_ROUNDS):
+        found = minimised({**shapes, "T": (m,), "X": (free.shape[1], m)} if free.size else shapes, blocks)
+        if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
+            return None
+        least = [np.linalg.eigvalsh(X[0])[0] for X in falling({name: x[None] for name, x in found.items()})]
+        missed = [j for j in np.argsort(least)[:_FIRST].tolist() if j not in asked and least[j] < -_MISSED * decay]
+        if not missed:
+            return found
+        asked.update(missed)
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)
