@@ -459,3 +459,11 @@ def test_no_title_gives_the_name_of_a_source_of_its_fmu(machine: Subject) -> Non
         assert {"model", f"fmi{version}"} <= taken
         for name in taken:
             assert prefix(name) == prefix(name.title()) == f"{name}_1"
+
+
+def test_an_export_at_another_sample_time_is_verified_and_has_less_jitter_than_that(tmp_path: Path) -> None:
+    path = cart(tmp_path, "controller: {sample_time: {nominal: 0.01, jitter: 0.001}}", duration=2)
+    assert call("export", "c", path, "--out", tmp_path / "c", "--sample-time", "0.008").exit_code == 0
+    assert call("verify", tmp_path / "c", "--spec", path).exit_code == 0
+    said = refused(call("export", "c", path, "--out", tmp_path / "d", "--sample-time", "0.0005"), 2)
+    assert "--sample-time 0.0005: the file has a jitter of 0.001 s, which is not below it" in said

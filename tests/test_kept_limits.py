@@ -214,10 +214,11 @@ def test_noise_of_a_start_that_is_measured_is_part_of_it(tmp_path: Path) -> None
     text = LAG.replace("[[2]]", "[[1]]").replace("[[-1.5]]", "[[-3]]").replace("[[-4]]", "[[-0.2]]")
     text = text.replace("tracking: state, ", "").replace("{state: [0.2*sin(t)]}", "{output: {constant: 0.3}}")
     noise = "initial: {plant: steady, observer: OBSERVER}, noise: {std: {y: 0.1}, sample_time: 0.05, seed: 8}"
+    for name in ("steady", "measured"):
+        (tmp_path / name).mkdir()
     paths = (
         written(tmp_path / name, text, "x: [0.24, 0.36]", noise.replace("OBSERVER", name))
         for name in ("steady", "measured")
-        if not (tmp_path / name).mkdir()
     )
     steady, measured = map(kept, paths)
     assert any(one.of_this_run(steady.left) for one in steady.promises)

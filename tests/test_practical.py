@@ -121,7 +121,7 @@ def test_a_slack_rope_is_refused_exactly_and_tracked_practically(tmp_path: Path)
     assert index["verdict"] == "practical"
     assert "(8) is infeasible" in index["practical"]["exact_tracking"][0] or "(17)" in str(index["practical"])
     assert (out / "refusal.json").is_file()
-    assert verify(out)[-1] == "refusal.json beside it proves that exact tracking is impossible"
+    assert verify(out)[-1] == "refusal.json beside it proves why exact tracking is refused"
     refusal = json.loads((out / "refusal.json").read_text())
     refusal["proofs"][0]["Z"] = {}
     (out / "refusal.json").write_text(json.dumps(refusal))

@@ -14,6 +14,8 @@ from junitparser import JUnitXml
 
 from pwatrack import Result, ensemble, load_spec, simulate
 from pwatrack.arrays import Array
+from pwatrack.batch.outcomes import SpecOutcome
+from pwatrack.batch.work import Ended
 from pwatrack.claims.decay import gain_figures
 from pwatrack.errors import InvalidSpec
 from pwatrack.report.figures import figure_content, measures
@@ -556,3 +558,46 @@ def test_an_error_that_is_known_less_well_than_is_required_says_how_well(tmp_pat
         (checked,) = required(result.spec, result.controller, result)
         assert checked.met
         assert ("V, known to " in checked.text) == known
+
+
+PERCENT = """
+name: A valve in percent
+system:
+  states: [z]
+  inputs: [u]
+  outputs: [y]
+  units: {z: "%", u: "%", y: "%"}
+  A: [[-1]]
+  B: [[1]]
+  C: [[1]]
+reference: {output: {constant: 20, sine: {amplitude: 5, frequency: 1}}}
+simulation: {duration: 3, sample_time: 0.01, initial: {plant: steady, observer: steady}}
+require: {largest_error: 3%, final_error: 0.5 %, limits: {z: [-5 %, 30%]}, largest_input: 50}
+"""
+
+
+def test_what_is_in_percent_is_no_share(tmp_path: Path) -> None:
+    path = tmp_path / "valve.yaml"
+    path.write_text(PERCENT, encoding="utf-8")
+    run = call("simulate", path, "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    found = {each["figure"]: each for each in index_of(tmp_path / "out")["requirements"]}
+    assert found["largest_error"]["at most"] == 3
+    assert found["final_error"]["at most"] == 0.5
+    assert found["lowest"]["at least"] == -5
+    assert found["highest"]["said"].startswith("highest of z: 25 %, at most 30 % required")
+    assert found["largest_input"]["said"].endswith("at most 50 % required")
+    path.write_text(PERCENT.replace('"%"', "m"), encoding="utf-8")
+    assert refused(call("check", path), 2).count("percent of what?") == 3
+
+
+def test_a_batch_says_what_it_does_not_look_at_and_which_kind_of_proof_it_is(tmp_path: Path) -> None:
+    """Members are run by simulate --ensemble alone; practical tracking is not called proved."""
+    (tmp_path / "specs").mkdir()
+    wish = "{ensemble: {members: all, final_error: 1e-30}}"
+    stage(tmp_path / "specs", wish, "ensemble: {initial: {plant: {z: [-0.05, 0.09]}}}")
+    run = call("batch", tmp_path / "specs", "--out", tmp_path / "out", "--plots", "none")
+    assert run.exit_code == 0, run.output
+    assert "required: 1 more of an ensemble, not looked at" in " ".join(run.stdout.split())
+    ended = Ended(exit=0, expected=0, messages="", faults=(), index={"verdict": "practical"})
+    assert SpecOutcome.of(tmp_path, tmp_path, ended, seconds=1.0).verdict == "practical"

@@ -257,3 +257,28 @@ def test_two_starts_of_an_observer_are_one_too_many(specs: Path, tmp_path: Path)
     path = paper(specs, tmp_path, "observer: measured", "", ("initial", boxes))
     said = "simulation.ensemble.initial.observer: each observer starts from what is measured then"
     assert said in refused(call("check", path), 2)
+
+
+@pytest.mark.parametrize("reference", ["", "0.2 + 0*t"])
+def test_an_observer_in_steady_state_begins_with_its_plant(specs: Path, tmp_path: Path, reference: str) -> None:
+    path = paper(specs, tmp_path, "plant: steady, observer: steady", reference)
+    result = simulate(load_spec(path))
+    np.testing.assert_array_equal(result.response.x_hat[0], result.response.x_d[0])
+    assert result.figures.largest_error < 1e-8
+    path.write_text(path.read_text(encoding="utf-8").replace(", observer: steady", ""), encoding="utf-8")
+    assert any("'observer: steady' begins there too" in remark for remark in simulate(load_spec(path)).remarks)
+
+
+@pytest.mark.parametrize("command", ["check", "simulate"])
+def test_a_generator_without_states_has_no_start(tmp_path: Path, command: str) -> None:
+    path = two_sensors(tmp_path, "[[1, 0], [1, 0]]")
+    text = (
+        path.read_text(encoding="utf-8")
+        .replace("{tracking: state}", "{}")
+        .replace("[y1, y2]", "[y1, y2]\n  track: [y1]")
+    )
+    text = text.replace('{state: ["0", "0"]}', "{output: sin(t)}").replace("observer: measured", "generator: [1]")
+    path.write_text(text, encoding="utf-8")
+    assert "simulation.initial.generator: the trajectory generator has no states here" in refused(
+        call(command, path), 2
+    )

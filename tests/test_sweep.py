@@ -248,3 +248,13 @@ def test_the_table_is_there_as_parquet_too(spec: Path, tmp_path: Path) -> None:
         assert ["" if v is None else repr(v) if isinstance(v, float) else str(v) for v in values] == [
             row[name] for row in rows
         ]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [(["--points", "4"], "a grid has its points in"), (["--set", "a=1"], "--set a: it varies in this sweep")],
+)
+def test_what_says_one_thing_twice_is_refused(spec: Path, more: list[str], said: str) -> None:
+    run = CliRunner().invoke(app, ["sweep", str(spec), "--sweep", "a=0:2:5", *more])
+    assert run.exit_code == 2
+    assert said in " ".join(run.stderr.replace("│", " ").split())

@@ -11,12 +11,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pwatrack.arrays import Array, number_text, up
+from pwatrack.arrays import Array, number_text, outward, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import WITHOUT, StartGuarantee, promises
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
-from pwatrack.control.headroom import SignalRoom
-from pwatrack.control.words import Words, down
+from pwatrack.control.headroom import OFF, SignalRoom
+from pwatrack.control.words import Words
 
 _OWN = "run", "ensemble"  # starts in which x̂(0) may be made of what is measured, with its noise
 _ROUNDING = 1e-12  # of what is left: what is subtracted is known to that
@@ -100,7 +100,7 @@ class KeptLimits(Claim):
                 continue
             span = f"the reference takes {peak.span(k, unit)}{idle}"
             over = float(peak.left(signals.room.limits)[k])
-            leaves = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit"
+            leaves = f"leaves {outward(over, -1, OFF)} {unit}".rstrip() if over else "takes the whole limit"
             if signals.acting and self.taken is not None:
                 much = f"{up(float(self.taken[k]))} {unit}".rstrip()
                 leaves += f"; what acts in this file{_but_steps(words)} takes at most {much}"

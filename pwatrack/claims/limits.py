@@ -10,17 +10,18 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from pwatrack.arrays import Array, alike, number_text
+from pwatrack.arrays import Array, alike, number_text, outward
 from pwatrack.ball_matrix import BallMatrix, above
 from pwatrack.claims.bounds import loops_of
 from pwatrack.claims.exact_text import Held, decimal, decimal_texts, doubles, held_content, read_held, signals
 from pwatrack.control.bounds import Form, Loop, Loops
 from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Told
-from pwatrack.control.headroom import Headroom, Peak, Starts
+from pwatrack.control.headroom import OFF, Headroom, Peak, Starts
 from pwatrack.control.words import Words, down
 from pwatrack.lmi.ellipsoid import held
 
 WITHOUT = " while no load acts"  # where loads are estimated
+_NOTHING = "takes the whole limit: nothing is left"
 _ROUNDING = 1e-12  # of the 1 that a load at an input is taken off it with
 
 
@@ -172,8 +173,8 @@ class NoSaturation(Claim):
                 yield f"{said}: {takes}, more than that, from where the generator starts{after}"
             else:
                 over = float(room.peak.left(room.limits)[k])
-                left = f"leaves {down(over)} {unit}".rstrip() if over else "takes the whole limit: nothing is left"
-                yield f"{said}: {takes}, which {left} for what is off"
+                much = f"leaves {outward(over, -1, OFF)} {unit}".rstrip()
+                yield f"{said}: {takes}, which {much if over else _NOTHING} for what is off"
 
     def _reaches(self, words: Words, *, loads: bool) -> Iterator[str]:
         """Yield from which starts no limit is reached: ever, or in this run where more may be taken after it."""

@@ -98,6 +98,8 @@ def compare(screen: Console, folders: Sequence[Path], picture: Path | None) -> N
     """Print runs beside each other, and draw their errors over each other."""
     if len(folders) > _MOST:
         raise InvalidSpec(f"{len(folders)} runs, at most {_MOST} stand beside each other")
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise InvalidSpec(f"--picture {picture}: pictures are PNG files", hint="give it a name that ends in .png")
     runs = [read_run(folder) for folder in folders]
     names, table = names_of(runs), Table()
     table.add_column("figure", overflow="fold")

@@ -138,7 +138,7 @@ def _spec_of(
         overrides=overrides,
         problem=TrackingProblem(
             plant=plant,
-            units=_units(file, plant),
+            units=_units(file, context, plant),
             sizes=file.system.sizes,
             reference=reference,
             parametric=parametric,
@@ -151,13 +151,13 @@ def _spec_of(
     )
 
 
-def _units(file: SpecFile, plant: PWASystem) -> dict[str, str]:
+def _units(file: SpecFile, context: Context, plant: PWASystem) -> dict[str, str]:
     """Return the units of all signals that have one: a load at each input has that of the input; 1 is not said."""
-    units = dict(file.system.units)
+    units = dict(context.units)
     if plant.loads is not None and file.design.estimate == "input":
         own = zip(plant.loads.names, plant.inputs, strict=True)
-        units |= {load: units[name] for load, name in own if name in units and load not in units}
-    return {name: unit for name, unit in units.items() if unit != "1"}
+        units |= {load: units[name] for load, name in own if name in units and load not in file.system.units}
+    return units
 
 
 def _checked(document: Document, parameters: Mapping[str, float | str], form: type[_Form]) -> tuple[_Form, Context]:

@@ -43,22 +43,22 @@ class Context:
         """Return what a raw tree declares."""
         states, inputs, outputs = (_texts(at_path(data, ("system", name))) for name in ("states", "inputs", "outputs"))
         tracked, estimate = at_path(data, ("system", "track")), at_path(data, ("design", "estimate"))
-        units = at_path(data, ("system", "units"))
+        given, forms = at_path(data, ("system", "units")), tracked if isinstance(tracked, dict) else {}
+        units = {k: unit for k, unit in given.items() if isinstance(unit, str)} if isinstance(given, dict) else {}
+        same = {name: units[of] for name, of in forms.items() if isinstance(of, str) and of in units}  # a state's own
         loads, tracking = estimate if isinstance(estimate, dict) else {}, at_path(data, ("design", "tracking"))
         return Context(
             parameters=parameters,
             states=states,
             inputs=inputs,
             outputs=outputs,
-            tracked=tuple(tracked) if isinstance(tracked, dict) else (),
+            tracked=tuple(forms),
             loads={f"load_{name}": 1 for name in inputs}
             if estimate == "input"
             else {name: 1 + (isinstance(load, dict) and "frequency" in load) for name, load in loads.items()},
             chosen=tuple(filter(outputs.__contains__, _texts(tracked))),
             tracking=tracking if isinstance(tracking, str) else "output",
-            units={name: unit for name, unit in units.items() if isinstance(unit, str) and unit != "1"}
-            if isinstance(units, dict)
-            else {},
+            units={name: unit for name, unit in (same | units).items() if unit != "1"},
         )
 
     @property

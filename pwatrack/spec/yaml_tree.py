@@ -105,7 +105,8 @@ class _Events:
             if isinstance(event, yaml.NodeEvent):
                 root = self._node(event, ())
         if not isinstance(root, dict):
-            message = "the file must hold a mapping of sections (name, system, …)"
+            is_empty = "" if root is not None else "the file is empty: "
+            message = f"{is_empty}the file must hold a mapping of sections (name, system, …)"
             raise InvalidSpec(message, place=Place(self.file, 1, 1))
         return Document(data=root, places=self.places, problems=self.problems)
 

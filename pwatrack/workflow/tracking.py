@@ -1,6 +1,6 @@
 """What a spec wants tracked: its reference, checked, the desired trajectory, and where the parts of a run start."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -58,6 +58,8 @@ def check_reference(spec: Spec, form: NormalForm | None = None) -> str:
         if isinstance(problem.reference, OutputReference):
             form = form or spec_form(spec)
             _output_signals(problem.reference, form)
+            if not isinstance(spec.scenario.initial.generator, Steady | None):
+                _given_start(spec, form.eta_names)
             return f"y_d is bounded and smooth enough for relative degree {form.degrees_text}"
         _state_desired(spec)
         if isinstance(problem.reference, SetPoint):
@@ -247,15 +249,24 @@ def start_given_twice(subject: tuple[str, ...]) -> InvalidSpec:
 
 def generator_start(spec: Spec, trajectory: DesiredTrajectory) -> Array:
     """Return η̂(0), in order or by the generator's names of states; that of `consistent_start` if none is given."""
-    given, names, subject = spec.scenario.initial.generator, trajectory.names, ("simulation", "initial", "generator")
-    if given is None or isinstance(given, Steady):
+    if isinstance(spec.scenario.initial.generator, Steady | None):
         return consistent_start(trajectory, trajectory.generator)[0]
+    return _given_start(spec, trajectory.names)
+
+
+def _given_start(spec: Spec, names: Sequence[str]) -> Array:
+    """Return η̂(0) that is given; refuses entries that a generator with states of these names has not."""
+    given, subject = spec.scenario.initial.generator, ("simulation", "initial", "generator")
+    assert not isinstance(given, Steady | None)
+    if not names:
+        text = f"{'.'.join(subject)}: the trajectory generator has no states here"
+        raise InvalidSpec(text, subject=subject, hint="leave it out")
     if not isinstance(given, Mapping):
         return initial_values(given, len(names), "generator")
     unknown = [
         Problem(
             message=f"{'.'.join(subject)}: {shown(name)} is no state of the generator: "
-            f"{', '.join(names) or 'it has none'}{guess(name, names)}",
+            f"{', '.join(names)}{guess(name, names)}",
             subject=(*subject, name),
         )
         for name in given

@@ -44,6 +44,7 @@ _AROUND, _BELOW = 1.2, 0.4  # inches: of a picture above its panels, and of a pa
 _SIZE, _SMALL = 9, 7  # points of what is written along an axis; the other where there is little room
 _LETTER, _FEWEST = 0.0075, 8  # inches of a letter for each point; letters of a line at least
 _LONG = re.compile(r"\d+\.\d{4,}")  # numbers with more digits than there is room for beside an axis
+_UNIT = re.compile(r"(?<=\d) (?=\S)")  # a space behind a number
 _ROUNDS = 3  # of measuring: ticks change with the size of a panel, but seldom more than once
 
 
@@ -53,7 +54,8 @@ def canvas(
     """Return a figure of a run and its panels in the order of their numbers in the mosaic."""
     conditions = "; ".join(result.loop.conditions.texts(result.spec.problem.plant, result.spec.problem.units))
     parts = (result.spec.name, 90), (f"({conditions})" if conditions else "", 100), (title, 100)
-    lines = [line for text, most in parts for line in textwrap.wrap(text, most)]
+    kept = ((_UNIT.sub("\u00a0", text), most) for text, most in parts)  # no line ends between a number and its unit
+    lines = [line.replace("\u00a0", " ") for text, most in kept for line in textwrap.wrap(text, most)]
     return sheet(lines, mosaic, height=height, ratios=ratios)
 
 
