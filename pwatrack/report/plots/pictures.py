@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,9 @@ from pwatrack.report.plots.elements import nonlinearities
 from pwatrack.report.stays import stays
 from pwatrack.workflow.outcome import SimulatedLoop
 
+_PLACES = 200  # of a cell at which its name may stand
+_CLEAR = 4.0  # dots of a picture between a name and a curve
+_MOST_DOTS = 20_000  # of a curve that are looked at
 _HAIR = 0.5  # points: a stay that is shorter than a dot is seen all the same
 
 
@@ -82,7 +86,9 @@ def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Fig
     label(axes, labels[0], labels[1], limits[0])
     legend(axes, columns=4)
     figure.draw_without_rendering()  # only now is it known where things are
-    placed: list[Bbox] = []
+    start = np.repeat(axes.transData.transform(actual[:1]), _MOST_DOTS, axis=0)  # no name is to stand on it
+    curves = (_dots(axes.transData.transform(curve)) for curve in (actual, desired[steady]))
+    placed, drawn = list[Bbox](), np.concatenate([start, *curves])
     for name, signs in zip(plant.cell_names, plant.partition.signs, strict=True):
         inside = (sides * signs >= 0).all(axis=-1)
         if not signs[~seen].any() and inside.any():
@@ -90,23 +96,43 @@ def portrait(result: SimulatedLoop, forms: tuple[LinearForm, LinearForm]) -> Fig
             def within(points: Array, signs: IntArray = signs) -> bool:
                 return bool((np.sign(points @ normals.T + offsets) * signs >= 0).all())
 
-            _name_cell(axes, plain(name), grid[inside].mean(axis=0), within, placed)
+            _name_cell(axes, plain(name), grid[inside], within, placed, drawn)
     return figure
 
 
-def _name_cell(axes: Axes, name: str, middle: Array, within: Callable[[Array], bool], placed: list[Bbox]) -> None:
-    """Write the name of a cell in its middle, along or upright, where it fits into it and on no other name."""
+def _dots(curve: Array) -> Array:
+    """Return dots of a curve (K, 2), in dots of a picture, that are about two apart, (s, 2)."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
+    at = np.linspace(0.0, along[-1], min(int(along[-1] / 2) + 2, _MOST_DOTS))
+    return np.column_stack([np.interp(at, along, x) for x in curve.T])
+
+
+def _name_cell(
+    axes: Axes, name: str, inside: Array, within: Callable[[Array], bool], placed: list[Bbox], drawn: Array
+) -> None:
+    """Write the name of a cell where it fits into it and on no other name, along or upright: on as little as can be.
+
+    That is in the middle of its points (k, 2), or at another of them if that hides less of what is drawn, (s, 2).
+    """
     box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
-    text = axes.text(middle[0], middle[1], name, fontsize=8, ha="center", va="center", bbox=box)
-    for rotation in (0, 90):
-        text.set_rotation(rotation)
+    text, best = axes.text(0, 0, name, fontsize=8, ha="center", va="center", bbox=box), (len(drawn) + 1, 0.0, 0.0, 0)
+    middle = inside.mean(axis=0)
+    others = inside[np.linspace(0, len(inside) - 1, _PLACES).astype(int)]
+    others = others[np.argsort(np.linalg.norm((others - middle) / np.ptp(inside, axis=0).clip(1e-300), axis=1))]
+    for (x, y), rotation in product((middle, *others), (0, 90)):
+        text.set(position=(x, y), rotation=rotation)
         extent = text.get_window_extent()
         corners = axes.transData.inverted().transform(extent.corners())
         shown = all(axes.bbox.contains(*corner) for corner in extent.corners())
-        if shown and within(corners) and not any(extent.overlaps(other) for other in placed):
-            placed.append(extent)
-            return
-    text.remove()
+        if best[0] and shown and within(corners) and not any(extent.overlaps(other) for other in placed):
+            low, high = np.array(extent.min) - _CLEAR, np.array(extent.max) + _CLEAR
+            hidden = int(((drawn >= low) & (drawn <= high)).all(axis=1).sum())
+            best = min(best, (hidden, x, y, rotation), key=lambda one: one[0])
+    if best[0] > len(drawn):
+        text.remove()
+        return
+    text.set(position=best[1:3], rotation=best[3])
+    placed.append(text.get_window_extent())
 
 
 def active_cells(result: SimulatedLoop) -> Figure:

@@ -150,7 +150,7 @@ def run_errors(runs: Mapping[str, tuple[Array, Array]], unit: str) -> Figure:
     axes.set_ylabel("tracking error" + (f" ({plain(unit)})" if unit else ""), fontsize=9)
     axes.tick_params(labelsize=8)
     axes.grid(color="0.9", linewidth=0.6)
-    axes.legend(loc="upper right", fontsize=8, frameon=False)
+    legend(axes)
     return figure
 
 
