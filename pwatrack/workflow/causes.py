@@ -25,6 +25,7 @@ _WAYS = {  # of what a bound is made of, what may lessen it
     "sampling": "sample more often",
     "what is merged": "larger 'sizes' of inputs",
 }
+FASTER = "disturbances", "parameters", "parameters and disturbances", "steps of loads", "what is merged"  # gains help
 _OF = {  # by the kinds of `control.sampled_disturbances`; what is in none is left by sampling
     "disturbance": "disturbances",
     "input": "steps of inputs",

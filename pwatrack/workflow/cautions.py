@@ -32,7 +32,7 @@ from pwatrack.simulation.modes import modes
 from pwatrack.simulation.sampled_runs import not_simulated, refused
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.bands import declared, tube_bounds
-from pwatrack.workflow.causes import of_designed, of_sampled, way
+from pwatrack.workflow.causes import FASTER, of_designed, of_sampled, way
 from pwatrack.workflow.sizing import reference_sizes
 
 _HALF = 0.5  # of the reference: an error of this size is no tracking
@@ -104,7 +104,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
     every = loop_margins(controller)
     margins = worst(every)
     warnings = [
-        *_disturbed(spec, controller, ends, of, made_of),
+        *_disturbed(spec, controller, ends, of, made_of, margins),
         *_near_limits(spec, controller),
         *_gentle(controller),
         *_sampling(spec, controller, margins),
@@ -171,9 +171,10 @@ def _disturbed(
     ends: Mapping[Form, float],
     of: str,
     made_of: Callable[[Form], Mapping[str, float]],
+    margins: Margins | None,
 ) -> Iterator[str]:
     """Yield where what is proved of some loop's end is more than is required, or half of y_d, and what leaves most."""
-    references = reference_sizes(spec, controller)
+    references, little = reference_sizes(spec, controller), margins is not None and margins.phase < _LITTLE_PHASE
     for k, name in enumerate(controller.error_names):
         form: Form = (controller.tracking, k)
         bound, unit = ends.get(form), spec.problem.units.get(name, "")
@@ -191,6 +192,7 @@ def _disturbed(
                 f"{of}: no better than {sized(f'{name} - {name}_d')} ≤ {up(bound)} {unit}".rstrip()
                 + f" is proved, {most:.3g} {unit}".rstrip()
                 + f" is {what}; most by {largest}: {way(largest, controller)}"
+                + ", which takes of the margin" * (little and largest in FASTER)
             )
 
 
