@@ -38,6 +38,7 @@ LOOK: dict[str, dict[str, Any]] = {
 WIDTH = 7.5  # inches
 COLUMNS = 2000  # of a picture: more times than this cannot be told apart in print
 ROUNDING = 1e-11  # of a signal: an error of it below that is rounding of the simulation, which no proof bounds
+RARE = 0.01  # of the samples of an error: of so few a logarithmic scale does not go down to the least
 _PAD = 1 / 24  # inches between what panels need, and around it
 _FIRST = (0.6, 0.05, 0.2, 0.3)  # inches that a panel may need to the left, right, above and below
 _AROUND, _BELOW = 1.2, 0.4  # inches: of a picture above its panels, and of a panel below what is drawn, about

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from pwatrack.arrays import Array, number_text
 from pwatrack.report.figures import norm_unit
-from pwatrack.report.plots.canvas import LOOK, ROUNDING, band, canvas, label, legend, limits, plain
+from pwatrack.report.plots.canvas import LOOK, RARE, ROUNDING, band, canvas, label, legend, limits, plain
 from pwatrack.simulation.figures import Move
 from pwatrack.simulation.trace import last_tenth
 from pwatrack.spec.requirement import RANGES
@@ -369,7 +369,9 @@ def _magnitude(axes: Axes, t: Array, size: Array, bound: Array | None, floor: fl
     if not (size > 0).any():
         axes.text(0.5, 0.5, "0 at all times, in the simulation", transform=axes.transAxes, ha="center", fontsize=9)
     axes.semilogy(t, np.where(size > 0, size, np.nan), label="simulated", **LOOK["actual"])
-    low, most = axes.get_ylim()[0], max(float(size.max()), 0.0 if bound is None else float(bound.max()), floor)
+    most = max(float(size.max()), 0.0 if bound is None else float(bound.max()), floor)
+    low = max(axes.get_ylim()[0], float(np.quantile(size, RARE)) / 10)  # that an error crosses 0 is no news
+    axes.set_ylim(bottom=low)
     if low < floor:
         axes.axhspan(low, floor, color="0.92", linewidth=0, label="rounding of the simulation")
         axes.set_ylim(max(low, _DEPTH * floor), _ABOVE * most)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pwatrack.arrays import Array, amount, number_text
 from pwatrack.control.pareto import Front
 from pwatrack.report.figures import norm_unit
-from pwatrack.report.plots.canvas import COLUMNS, LOOK, ROUNDING, WIDTH, canvas, label, legend, limits, plain
+from pwatrack.report.plots.canvas import COLUMNS, LOOK, RARE, ROUNDING, WIDTH, canvas, label, legend, limits, plain
 from pwatrack.report.required import Checked
 from pwatrack.workflow.variation import EnsembleResult, sections
 
@@ -80,7 +80,7 @@ def fan(many: EnsembleResult, checked: Sequence[Checked] = ()) -> Figure:
                 axes.axhline(limit, label=f"required{when}", **LOOK["required"])
         legend(axes, columns=3)
         label(axes, "time t (s)", size + (f" ({unit})" if unit else ""), t)
-        bottom = float(low.min()) / 3
+        bottom = float(np.quantile(low, RARE)) / 3
     linear.set_ylim(bottom=0)
     logarithmic.set_yscale("log")
     logarithmic.set_ylim(bottom=max(bottom, floor / 10))
