@@ -21,6 +21,8 @@ from pwatrack.export.fmu import packed
 from pwatrack.export.fmu_models import controller_model
 from pwatrack.export.source import Source, prefix
 from pwatrack.export.source import said as in_comment
+from pwatrack.export.stored import read, with_sampling
+from pwatrack.model.conditions import Sampling
 from tests.conftest import SPECS
 from tests.exported import exported, machine_of, with_pieces, with_reversed_limits
 from tests.misra import checked, listed
@@ -465,5 +467,10 @@ def test_an_export_at_another_sample_time_is_verified_and_has_less_jitter_than_t
     path = cart(tmp_path, "controller: {sample_time: {nominal: 0.01, jitter: 0.001}}", duration=2)
     assert call("export", "c", path, "--out", tmp_path / "c", "--sample-time", "0.008").exit_code == 0
     assert call("verify", tmp_path / "c", "--spec", path).exit_code == 0
+    known, spec = read(tmp_path / "c" / "controller.json"), load_spec(path)
+    assert known.program is not None
+    less = known.program.model_copy(update={"jitter": 0.0})  # as of a file that has none
+    kept = with_sampling(spec, less, instead=True).scenario.conditions.sampling
+    assert kept == Sampling(sample_time=0.008, jitter=0.001)
     said = refused(call("export", "c", path, "--out", tmp_path / "d", "--sample-time", "0.0005"), 2)
     assert "--sample-time 0.0005: the file has a jitter of 0.001 s, which is not below it" in said

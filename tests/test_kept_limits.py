@@ -199,7 +199,8 @@ def test_a_load_that_steps_takes_its_part_at_any_time(tmp_path: Path) -> None:
         found.append(kept(path))
     still, stepping = found
     assert still.promises
-    assert stepping.taken is None or stepping.taken[0] > 0.1
+    assert stepping.taken is not None
+    assert stepping.taken[0] > 0.1
     later = path.read_text(encoding="utf-8").replace("at: 10.3", "at: 25")  # after the run
     path.write_text(later, encoding="utf-8")
     spec = load_spec(path)
@@ -233,3 +234,15 @@ def test_steps_of_inputs_are_not_counted_and_it_says_so(tmp_path: Path) -> None:
     said = [text for _, text in controller.claim(KeptLimits).rows(spec.words, controller)]
     assert "what acts in this file but steps of inputs takes at most" in said[0]
     assert all("with what acts in this file but steps of inputs, noise" in text for text in said[1:])
+
+
+def test_nothing_is_said_where_loads_move_what_is_limited(tmp_path: Path) -> None:
+    """x' = v + d: d is made up for by another v_d, which no bound of v − v_d has in it."""
+    text = STOP.replace("reference", "design: {estimate: {d: {into: {z: 1}}}}\nreference").replace(
+        "0.25*sin(2*t)", "0.1*sin(t)"
+    )
+    text = text.replace("INITIAL", "INITIAL, disturbance: {z: {step: {size: 0.5, at: 5}}}")
+    for limits, known in (("v: [-0.6, 0.6]", False), ("y: [-3, 3]", True)):
+        claim = kept(written(tmp_path, text, limits, "initial: {plant: steady}"))
+        assert (not claim.missing) is known
+        assert bool(claim.promises) is known

@@ -47,7 +47,7 @@ from pwatrack.report.screen import Findings
 from pwatrack.report.summary import print_all
 from pwatrack.simulation import stable_inversion as preview_module
 from pwatrack.simulation.acting import acting
-from pwatrack.simulation.curve import told_pieces
+from pwatrack.simulation.curve import Pieces, told_pieces
 from pwatrack.simulation.stable_inversion import bounded_solution, played_back
 from pwatrack.spec.spec import Spec
 from pwatrack.workflow.how_far import how_far
@@ -683,3 +683,20 @@ def test_what_is_told_to_be_played_back_is_a_curve() -> None:
     for wrong in ([], [{"t": 4.0, "start": 0, "w": [5.0, 4.0]}], [{"t": 1.0, "start": 0, "w": [5.0]}], [{"t": 1.0}]):
         with pytest.raises(ValueError, match=r"played back|broadcast|reshape"):
             told_pieces(told | {"pieces": wrong, "w0": [2.0, 3.0] if wrong else []}, 0, None, 3.0)
+
+
+def test_curves_are_near_in_units_in_which_their_entries_are_alike() -> None:
+    """One that rests at 0 is rounding of the other; what grows is seen at the end, another number of them at once."""
+
+    def curve(*ends: float) -> Pieces:
+        c = np.zeros((1, len(ends), 2))
+        c[0, :, 0], c[0, :, 1] = 1.0, np.array(ends) - 1.0
+        return Pieces(start=np.zeros(1), length=np.ones(1), c=c, of=np.zeros(1, dtype=np.int64))
+
+    resting = replace(curve(1, 1), c=np.array([[[1.0, 0.0], [2e-16, 0.0]]]))
+    other = replace(curve(1, 1), c=np.array([[[1.0, 0.0], [-1e-16, 0.0]]]))
+    assert resting.is_near(other, np.ones(2))
+    assert not resting.is_near(other, np.array([1.0, 1e-9]))
+    assert curve(2.0, 1.0).is_near(curve(2.0 + 1e-7, 1.0), np.ones(2))
+    assert not curve(2.0, 1.0).is_near(curve(2.0 + 1e-5, 1.0), np.ones(2))
+    assert not curve(2.0, 1.0).is_near(curve(2.0), np.ones(2))

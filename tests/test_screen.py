@@ -379,3 +379,39 @@ def test_a_gain_margin_says_which_side_and_no_unstable_loop_is_advised(tmp_path:
         assert "K × 0.5" not in said
         assert "more is unstable" not in said
     assert "less is unstable" in said or "phase margin" in said
+
+
+MANY = """
+name: A lag
+parameters: {a: 1}
+system:
+  states: [x]
+  inputs: [u]
+  outputs: [y]
+  A: [[-a]]
+  B: [[1]]
+  C: [[1]]
+design: {controller: {K: [[-0.5]]}}
+reference: {output: {sine: {amplitude: 0.3, frequency: 1}}}
+simulation:
+  {duration: 8, sample_time: 0.05, initial: {plant: steady, observer: steady}, ensemble: {parameters: {a: [0.5, 2]}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("wish", "over", "off"),
+    [
+        ("", "parameters", True),
+        ("require: {final_error: 0.5}", "parameters", True),  # of the run itself
+        ("require: {ensemble: {members: all, final_error: 0.5}}", "parameters", False),
+        ("", "initial", False),
+    ],
+)
+def test_members_that_are_off_are_said_first_unless_what_is_left_of_them_is_required(
+    tmp_path: Path, wish: str, over: str, off: bool
+) -> None:
+    path = tmp_path / "lag.yaml"
+    path.write_text(MANY + wish, encoding="utf-8")
+    run = call("simulate", path, "--ensemble", 6, "--over", over, "--out", tmp_path / "out")
+    assert run.exit_code == 0, run.output
+    assert ("NOT READY: " in run.stdout and "of 6 members off" in run.stdout) is off

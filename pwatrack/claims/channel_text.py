@@ -3,6 +3,7 @@
 import numpy as np
 
 from pwatrack.arrays import CLOSE
+from pwatrack.ball_matrix import BallMatrix
 from pwatrack.claims.practical import Practical
 from pwatrack.control.bounds import Channel
 from pwatrack.control.controller import ProvedController
@@ -34,19 +35,24 @@ def channel_text(
     if kind not in ("moved", "nominal"):
         _, name, unit = words.cause(channel)
         return name + " as drawn" * (kind == "noise" and words.conditions.noise is not None), unit
-    of = errors.followed if kind == "nominal" else errors.R
-    k, late = k % of.shape[0], k >= of.shape[0]
+    of, late = _rows(channel, errors), k >= _rows(channel, errors).shape[0]
+    k %= of.shape[0]
     entries = [(v, name) for v, name in zip(of.texts[k], plant.states, strict=True) if v != "0"]
     terms = " + ".join(name if v == "1" else f"({v}) {name}" for v, name in entries)
     said = "moving in a substep" if kind == "moved" else "off its reference in the mean cell"
     return f"{terms} {said}{' from ticks off their times' * late}", units.get(entries[0][1], "")
 
 
+def _rows(channel: Channel, errors: SampledErrors) -> BallMatrix:
+    """Return the rows on x that one of them is, of what moves or is off its reference."""
+    return errors.followed if channel[0] == "nominal" else errors.R
+
+
 def rounding(channel: Channel, errors: SampledErrors, controller: ProvedController) -> float:
     """Return what of a channel that x_d makes may be rounding, which processors differ in: a share of its size."""
     sizes, (kind, k) = controller.sizes, channel
     if kind in ("moved", "nominal"):
-        of = errors.followed if kind == "nominal" else errors.R
+        of = _rows(channel, errors)
         return CLOSE * float(np.abs(of.floats[k % of.shape[0]]) @ sizes.state)
     if kind in ("drawn", "predicted"):
         return CLOSE * float(sizes.state[k % len(sizes.state)]) * sizes.speed

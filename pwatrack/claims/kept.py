@@ -46,6 +46,10 @@ class KeptLimits(Claim):
             missing = "x_d is played back"
         elif room.left is None:
             missing = "the reference leaves nothing of a limit, or is not known"
+        elif (
+            signals.acting and not controller.compensation.alone and any(kind != "output" for kind, _ in signals.forms)
+        ):
+            missing = "estimates of loads move x_d, as what acts moves them"
         claim = cls(signals=signals, taken=None if missing else _taken(controller, signals), missing=missing)
         if missing:
             yield claim
@@ -116,7 +120,8 @@ class KeptLimits(Claim):
         acting = self._acting(words)
         for promise in self.promises if left is not None else ():
             assert left is not None
-            starts = promise.said(left, loads=controller.plant.loads is not None)
+            stepping = any(kind == "disturbance" for kind, _ in signals.acting)  # among what acts, if loads do
+            starts = promise.said(left, loads=controller.plant.loads is not None and not stepping)
             binds = f"; {signals.names[promise.binds(left)]} binds" if np.isfinite(promise.scale(left)) else ""
             yield f"in the loop as designed {kept}{acting} from {starts}{binds}"
         if left is None or not self.promises:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, certificate_text, told_design, verify
+from pwatrack.commands.verify import CERTIFICATE, CONTROLLER, as_exported, certificate_text, told_design, verify
 from pwatrack.control.controller import ProvedController
 from pwatrack.control.program import SampledController
 from pwatrack.errors import CheckFailed, InvalidSpec, OutsideTheory, Problem
@@ -237,6 +237,7 @@ def _stored(path: Path, given: bool) -> Subject:
         hint = "give simulation.controller.sample_time and design anew, or export the spec with --sample-time"
         raise InvalidSpec(f"{path}: the controller has no sample time", hint=hint)
     if spec is not None:
+        spec = as_exported(spec, file.program, folder)
         again = with_gains(spec, file)
         if told:
             played = with_played(spec, file.trajectory.reference.model_dump())

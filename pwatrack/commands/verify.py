@@ -201,13 +201,18 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
     """Make a certificate and the files beside it again, and add what was compared and what differs."""
     known = _json(folder / CONTROLLER)
     if known is not None and known.get("program"):
-        exported = not (folder / INDEX).is_file()  # perhaps with a sample time of its own
-        spec = with_sampling(spec, Sampled.model_validate(known["program"]), instead=exported)
+        own, spec = (
+            spec.scenario.conditions.sampling,
+            as_exported(spec, Sampled.model_validate(known["program"]), folder),
+        )
+        if own is not None and spec.scenario.conditions.sampling != own:
+            h = known["program"]["sample_time"]
+            said.append(f"exported at a sample time of its own, {h:g} s, where the spec has {own.sample_time:g} s")
     try:
         controller = told_design(spec, content)
         if controller.trajectory.preview is not None and known is not None:
             told = known["trajectory"]["reference"]
-            if any(differing(told, lists_of(controller.trajectory)["reference"], "reference")):
+            if any(differing(told, lists_of(controller.trajectory)["reference"], "trajectory.reference")):
                 spec = with_played(spec, told)
                 controller = told_design(spec, content)
                 said.append(_PLAYED)
@@ -227,6 +232,11 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
         again = made.controller | {"sha256": digest(known), "failed": known.get("failed")}
         _compare(CONTROLLER, folder, again, said, faults, ["failed"] * (run is None))
     _compare(INDEX, folder, proved_content(spec, controller), said, faults, _ALONE)
+
+
+def as_exported(spec: Spec, program: Sampled | None, folder: Path) -> Spec:
+    """Return a spec with the sample time of a program whose folder is none of a run: an export may have its own."""
+    return with_sampling(spec, program, instead=not (folder / INDEX).is_file())
 
 
 def _compare(

@@ -341,7 +341,9 @@ def with_sampling(spec: Spec, program: Sampled | None, *, instead: bool = False)
     conditions = spec.scenario.conditions
     if program is None or (conditions.sampling is not None and not instead):
         return spec
-    return replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=program.sampling)))
+    own = conditions.sampling  # of which the rest stays
+    sampling = program.sampling if own is None else replace(own, sample_time=program.sample_time)
+    return replace(spec, scenario=replace(spec.scenario, conditions=replace(conditions, sampling=sampling)))
 
 
 def check_same(spec: Spec, controller: ProvedController, known: ControllerFile) -> SampledController | None:

@@ -38,7 +38,7 @@ _DECAY = 1e-3  # of the speed of the plant, of a gain that is sought: what V fal
 _LEAST, _LARGEST = 1e-4, 1e6  # Q, where starts have size 1
 _ROOM = (1e-6, 1e-4, 1e-2)  # by which Q is enlarged, until it is proved
 _MANY, _FIRST, _ROUNDS = 64, 16, 12  # inequalities up to which all are asked; else how many at first, and more so often
-_MISSED = 1e-3  # of the decay: what any that is not asked may miss
+_MISSED = 1e-3  # of what V falls by at least: what any that is not asked may miss
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class SaturatedLoop:
     D: BallMatrix  # likewise, (m, N)
     inners: Sequence[Inner]  # Q of the loop without limits: they say which coordinates are good ones
     # of so many inequalities those that are known to bind: what one search finds out serves the next
-    known: dict[int, set[int]] = field(default_factory=dict, compare=False, repr=False)
+    known: dict[tuple[bool, int], set[int]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def work(self) -> int:
@@ -201,7 +201,7 @@ def _largest(
     decay: float,
     free: Array,
     most: float,
-    known: dict[int, set[int]],
+    known: dict[tuple[bool, int], set[int]],
 ) -> dict[str, Array] | None:
     """Return Q, Z and weights w, Q ⪰ G diag(1 / w) Gᵀ, Σ w ≤ 1, of the least t with H_j Q H_jᵀ ≤ t room_j²; Z is H Q.
 
@@ -228,7 +228,7 @@ def _largest(
 
     falling, count = (falls_with, 2 * len(M)) if free.size else (falls, 2**m * len(M))
     first = np.linspace(0, count - 1, _FIRST if count > _MANY else count).astype(int).tolist()
-    asked = known.setdefault(count, set(first))
+    asked = known.setdefault((bool(free.size), count), set(first))
 
     def blocks(x: Unknowns) -> Iterator[Array]:
         yield from (X for j, X in enumerate(falling(x)) if j in asked)
@@ -239,10 +239,12 @@ def _largest(
     shapes: dict[str, tuple[int, ...]] = {"Q": (N, N), "Z": (m, N), "w": (k,), "t": ()}
     for _ in range(_ROUNDS):
         found = minimised({**shapes, "T": (m,), "X": (free.shape[1], m)} if free.size else shapes, blocks)
-        if found is None or not np.linalg.eigvalsh(found["Q"])[0] > 0:
+        if found is None or not (size := np.linalg.eigvalsh(found["Q"])[0]) > 0:
             return None
         least = [np.linalg.eigvalsh(X[0])[0] for X in falling({name: x[None] for name, x in found.items()})]
-        missed = [j for j in np.argsort(least)[:_FIRST].tolist() if j not in asked and least[j] < -_MISSED * decay]
+        missed = [
+            j for j in np.argsort(least)[:_FIRST].tolist() if j not in asked and least[j] < -_MISSED * decay * size
+        ]
         if not missed:
             return found
         asked.update(missed)

@@ -158,14 +158,20 @@ def _verdict(found: Findings, *, whole: bool) -> str:
     if ended == "off" and not _as_required(found):
         return f"NOT READY: error above 1 %{without}"
     ended = "as required" if ended == "off" else ended
-    others = 0 if many is None else sum(outcome.kind not in ("tracks", "within its bound") for outcome in many.outcomes)
-    if others and many is not None and not _as_required(found):
-        return f"NOT READY: {others:,} of {amount(len(many.outcomes), 'member')} off{without}"
+    if many is not None and (off := _off(found, many)):
+        return f"NOT READY: {off:,} of {amount(len(many.outcomes), 'member')} off{without}"
     if assessment.warnings:
         return f"NOT READY: {amount(len(assessment.warnings), 'warning')}{without}"
     if assessment.questions:
         return f"{ended}{without}{'; partly proved' * (not whole)}; PLANT RIGHT?"
     return f"{ended}{without}{'; partly proved' * (not whole) or '; proved as it runs' * (not absent)}"
+
+
+def _off(found: Findings, many: EnsembleResult) -> int:
+    """Return how many members are off; none where starts are to show that, or what is left of members is required."""
+    wished = [each for each in found.checked if "final_error" in each.requirement.figure]
+    asked = any(each.requirement.share is not None for each in wished)
+    return 0 if asked or many.variation.over == "plane" else len(many.small) - sum(many.small)
 
 
 def _proved(found: Findings) -> Iterator[Row]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial, chebyshev
 from numpy.typing import NDArray
 
-from pwatrack.arrays import EPS, Array, IntArray, alike
+from pwatrack.arrays import CLOSE, EPS, Array, IntArray, alike
 from pwatrack.control.trajectory import DesiredTrajectory, NoncausalTrajectory
 from pwatrack.errors import Undecided
 from pwatrack.model.reference import Exosystem, exosystem
@@ -54,11 +54,17 @@ class Pieces:
         powers = (t - self.start[k])[:, None] ** np.arange(self.c.shape[2])
         return np.asarray(np.einsum("tpj,tj->tp", self.c[k], powers))
 
-    def is_near(self, other: "Pieces") -> bool:
-        """Say whether two curves of one equation are one: what grows, forward or backward, is seen at its ends."""
+    def is_near(self, other: "Pieces", units: Array) -> bool:
+        """Say whether two curves of one equation are one: what grows, forward or backward, is seen at its ends.
+
+        What is small in `units` in which the η are alike, (p,), beside the others is rounding of these.
+        """
+        if self.c.shape[1] != other.c.shape[1]:
+            return False
         t = np.concatenate([self.start, self.start + self.length / 2, other.start, self.start[-1:] + self.length[-1:]])
         here, there = self.at(t), other.at(t)
-        return bool((np.abs(here - there) <= _NEAR * np.abs(here).max(axis=0)).all())
+        sizes = np.abs(here).max(axis=0)
+        return bool((np.abs(here - there) <= _NEAR * np.maximum(sizes, CLOSE * units * (sizes / units).max())).all())
 
     def is_one_with(self, other: "Pieces") -> bool:
         """Say whether they are the same, but for rounding of their numbers in a file."""
@@ -224,8 +230,12 @@ def is_of(told: Mapping[str, Any], system: Exosystem) -> bool:
     ValueError if it is none at all.
     """
     s, S, w0 = len(system.w0), *(np.array(told[name], dtype=np.float64) for name in ("S", "w0"))
-    known = [[piece["t"], *piece["w"]] for piece in told["pieces"] if piece["start"] < s]
-    own = [[t, *w] for one in system.resets for t, w in zip(one.t.tolist(), one.values.tolist(), strict=True)]
+    known = [[piece["t"], piece["start"], *piece["w"]] for piece in told["pieces"] if piece["start"] < s]
+    own = [
+        [t, one.where.start, *w]
+        for one in system.resets
+        for t, w in zip(one.t.tolist(), one.values.tolist(), strict=True)
+    ]
     there, here = (np.array([number for piece in sorted(each) for number in piece]) for each in (known, own))
     pairs = (S[:s, :s], system.S), (w0[:s], system.w0), (there, here)
     return all(alike(one, other, together=True) for one, other in pairs)

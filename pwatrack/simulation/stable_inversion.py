@@ -12,6 +12,7 @@ Newton's method, whose derivative has no terms for them, as the field is continu
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -63,10 +64,12 @@ def bounded_solution(
         last = duration + settled if system.end is None else min(duration + settled, max(duration, system.end))
     turns = 1 if period is None or system.constant else int(np.ceil(duration / period))
     assert last is not None
-    pieces = _Problem(trajectory, first, last, periodic=repeats).solve().pieces(duration)
-    if told is not None and is_of(told, system):
-        other = told_pieces(told, len(system.w0), period, duration)
-        pieces = other if pieces.is_near(other) and not pieces.is_one_with(other) else pieces
+    problem = _Problem(trajectory, first, last, periodic=repeats)
+    pieces = problem.solve().pieces(duration)
+    with suppress(ValueError):  # of what is told and is no such curve
+        if told is not None and is_of(told, system):
+            other = told_pieces(told, len(system.w0), period, duration)
+            pieces = other if pieces.is_near(other, problem.d) and not pieces.is_one_with(other) else pieces
     signals, preview = played(trajectory, pieces, turns, period or 0.0)
     return signals, replace(preview, lead=_lead(trajectory, signals, duration))
 

@@ -91,8 +91,6 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
         said = [text for name, text in acts.items() if getattr(conditions, name) is not None]
         said += ["any parameters of the box"] * others
         ends, condition = known.ends_below(controller), f"under {', '.join(said)}" if said else ""
-    elif any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
-        ends = {}  # those are of another loop than the one that is proved as it runs
 
     def made_of(form: Form) -> dict[str, float]:
         if known is not None:
@@ -110,9 +108,10 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
         *_sampling(spec, controller, margins),
         *_little_margin(controller, margins, spec.words.goals),
     ]
+    runs = any(claim.proof is not None for claim in controller.claims_of(SampledLoop))
     return Assessment(
         acting=acting,
-        ends=ends,
+        ends=ends if known is not None or not runs else {},  # else they are of another loop than the one that runs
         condition=condition,
         margins=every,
         warnings=tuple(warnings),

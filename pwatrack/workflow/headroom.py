@@ -32,7 +32,7 @@ _STILL = 1e-12  # of the terms of w': what is less is rounding
 _INSIDE = 1e-6  # of the terms of a guard: what rests farther off a facet stays in its cell, whatever rounding does
 _HALVINGS = 12  # of a limit of set-points, until it is known how much of it would do
 _RESTING = Fraction(1, 10**6)  # of what moves set-points: as good as 0
-_IN_RANGE = "however slow they move, they are: take a smaller range away from there, or a wider limit of the input"
+_IN_RANGE = "however slow they move, as far as is proved: take a smaller range, or a wider limit of the input"
 _NOT_FOUND = "no ellipsoid was found that the internal states stay in"
 
 
@@ -182,23 +182,24 @@ def _check_demand(spec: Spec, generator: TrajectoryGenerator, found: Demand, lim
     """Refuse what may be beyond a limit of an input, with what limits of the set-points would do."""
     problems, names, beyond = list[Problem](), spec.problem.plant.inputs, found.beyond(limits)
     would = _would_do(spec, generator, found.kept, limits) if beyond else ()
+    resting = demand(generator, _slow(found.kept)).beyond(limits) if beyond and not would else ()
     for k, side in beyond:
         unit, ends = spec.problem.units.get(names[k], ""), (found.low, found.high)[side]
         message = _beyond_text(f"set-points may take {names[k]}", ends[k], limits[k, side], side, unit)
         within = f"it is within with {' or '.join(would)}"
         slower = "no limit of them by itself would do: lower several"
-        hint = within if would else _IN_RANGE if _however_slow(generator, found.kept, limits) else slower
+        hint = within if would else _IN_RANGE if (k, side) in resting else slower
         problems.append(Problem(message=message, subject=(ProblemPart.SET_POINTS,), hint=hint))
     if problems:
         raise OutsideTheory(*problems)
 
 
-def _however_slow(generator: TrajectoryGenerator, kept: Kept, limits: Array) -> bool:
-    """Say whether set-points are beyond limits with all that moves them nearly 0: then it is their range."""
+def _slow(kept: Kept) -> Kept:
+    """Return what is kept with all that moves set-points nearly 0: what is beyond a limit then is so by their range."""
     for k in range(len(kept.box)):
         if kept.of_output(k)[1]:
             kept = kept.times(k, _RESTING)
-    return bool(demand(generator, kept).beyond(limits))
+    return kept
 
 
 def _would_do(spec: Spec, generator: TrajectoryGenerator, kept: Kept, limits: Array) -> Sequence[str]:

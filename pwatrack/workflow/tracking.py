@@ -283,7 +283,8 @@ def start_remarks(spec: Spec, trajectory: DesiredTrajectory) -> tuple[str, ...]:
     asked = [part for part in ("plant", "generator") if isinstance(getattr(initial, part), Steady)]
     if asked and trajectory.eta0 is None and (said := consistent_start(trajectory, trajectory.generator)[1]):
         found.append(f"simulation.initial.{asked[-1]}: there is no steady state: {said}")
-    if isinstance(initial.plant, Steady) and initial.observer is None:
+    apart = isinstance(initial.plant, Steady) and initial.observer is None and "observer" not in spec.scenario.regions
+    if apart and plant_start(spec, trajectory, trajectory.eta0).any():
         found.append(
             "simulation.initial: the plant begins on x_d, its observer at 0: 'observer: steady' begins there too"
         )
