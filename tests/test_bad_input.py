@@ -94,7 +94,7 @@ INVALID = [
     ("states: [z, v]", "states: []", 7, "at least one name is expected"),
     ("states: [z, v]", f"states: [{', '.join(f'z{k}' for k in range(201))}]", 7, "201 entries, at most 200 are read"),
     ("inputs: [u]", f"inputs: [{', '.join(f'u{k}' for k in range(101))}]", 8, "at most 100 are read"),
-    ("inputs: [u]", "inputs: [u, lambda]", 8, "has a meaning of its own"),
+    ("inputs: [u]", "inputs: [u, lambda]", 8, "'lambda' is a word of Python's"),
     ("outputs: [y]", "outputs: [v]", 9, "declared under states and under outputs"),
     ("z: m, u: N", "q: m, u: N", 10, "'q' is no state, input or output"),
     ("z: m, u: N", "z: [m], u: N", 10, "a text is expected"),

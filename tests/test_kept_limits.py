@@ -83,7 +83,7 @@ def test_what_acts_takes_its_part(tmp_path: Path) -> None:
     assert claim.taken == pytest.approx([0.1 * np.trapezoid(g, t[::400])], rel=0.01)
     assert claim.left == pytest.approx([0.3 - claim.taken[0]], rel=1e-5) if claim.taken is not None else False
     said = " ".join(call("simulate", path, "--verbose", "--out", tmp_path / "out").stdout.split())
-    assert "the reference takes -0.2 to 0.2 m, which leaves 0.2999 m; what acts in this file takes at most" in said
+    assert "the reference takes -0.2 to 0.2 m, which leaves 0.3 m; what acts in this file takes at most" in said
     assert "these limits are kept in this run, with what acts in this file, from" in said  # more may act after it
 
 

@@ -158,7 +158,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     console = Console(file=StringIO(), width=300)
     print_all(console, Findings(spec=load_spec(written("practical")), controller=asked))
     first = console.file.getvalue().splitlines()[1]  # type: ignore[attr-defined]
-    assert (f"{up(bound)}, larger than the reference, proved for every start" in first) is not worth, first
+    assert (f"{up(bound)} m, larger than the reference, proved for every start" in first) is not worth, first
     if worth:
         return
     with pytest.raises(Infeasible) as refusal:
@@ -167,7 +167,7 @@ def test_a_bound_that_is_not_below_the_size_of_the_reference_is_no_reason_to_tak
     assert refusal.value.evidence is not None
     (problem,) = refusal.value.problems
     assert "is infeasible" in problem.message
-    assert f"not worth having: |y − y_d| ends below {up(bound)}, and the reference is of size 0.1" in problem.message
+    assert f"not worth having: |y − y_d| ends below {up(bound)} m, and the reference is of size 0.1 m" in problem.message
 
 
 def test_where_exact_tracking_is_found_nothing_is_merged(specs: Path, tmp_path: Path) -> None:

@@ -105,8 +105,7 @@ class _Events:
             if isinstance(event, yaml.NodeEvent):
                 root = self._node(event, ())
         if not isinstance(root, dict):
-            is_empty = "" if root is not None else "the file is empty: "
-            message = f"{is_empty}the file must hold a mapping of sections (name, system, …)"
+            message = f"the file must hold a mapping of sections (name, system, …){'; it is empty' * (root is None)}"
             raise InvalidSpec(message, place=Place(self.file, 1, 1))
         return Document(data=root, places=self.places, problems=self.problems)
 
