@@ -85,6 +85,18 @@ system:
 reference: {output: {y: 0.1, z: 0.2}}
 simulation: {duration: 10, sample_time: 0.1, actuator: {limits: {f: [-9, 0.1], g: [-9, 0.2]}}}
 """,
+    "resting": """
+system: {states: [x], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}
+reference: {output: {constant: 1}}
+simulation: {duration: 10, sample_time: 0.1, initial: {plant: steady}}
+""",
+    "far": """
+system: {states: [x], inputs: [u], outputs: [y], A: [[-1]], B: [[1]], C: [[1]]}
+design: {controller: {K: [[-0.01]]}}
+reference: {output: {constant: 1}}
+simulation:
+  {duration: 2, sample_time: 0.1, initial: {plant: [1], observer: steady}, ensemble: {initial: {plant: {x: [2, 5]}}}}
+""",
 }
 
 
@@ -136,7 +148,7 @@ def printed(specs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         summary.print_all(console, found)
         rows += [(False, label, text) for label, text in first_rows(found)]
         rows += [(False, "uncertain", said) for said in run_rows(replace(result, w=None))]  # as if that took too long
-        if path.stem in ("state", "cart"):
+        if path.stem in ("state", "cart", "far"):
             many = ensemble(result, 3)
             summary.print_ensemble(console, many)
             rows += [(False, label, text) for label, text in first_rows(replace(found, many=many))]
