@@ -18,7 +18,6 @@ from pwatrack.control.controller import Asked, Claim, ProvedController, Row, Tol
 from pwatrack.control.headroom import OFF, SignalRoom
 from pwatrack.control.words import Words
 
-_OWN = "run", "ensemble"  # starts in which x̂(0) may be made of what is measured, with its noise
 _ROUNDING = 1e-12  # of what is left: what is subtracted is known to that
 
 
@@ -60,7 +59,7 @@ class KeptLimits(Claim):
             if asked.measured is not None:
                 noise = np.array([signals.acting.get(("noise", k), 0.0) for k in range(len(controller.plant.C))])
                 off, loads = asked.measured * noise, len(controller.L) - len(controller.plant.B)
-                starts = [one.with_more(off, loads) if one.kind in _OWN else one for one in starts]
+                starts = [one.with_more(off, loads) for one in starts]
             yield replace(claim, promises=promises(controller, claim.left, starts, told, forms=signals.forms))
 
     def data(self, controller: ProvedController) -> dict[str, Any]:

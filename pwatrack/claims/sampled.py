@@ -227,3 +227,8 @@ def _same(one: SampledGains, other: SampledGains, sizes: Sizes) -> bool:
         return False
     seen = ((sizes.gain(of.K), sizes.correction(of.M)) for of in (one, other))
     return all(np.abs(a - b).max() <= _LAST_DIGIT * np.abs(b).max() for a, b in zip(*seen, strict=True))
+
+
+def proved_as_sampled(controller: ProvedController) -> bool:
+    """Say whether a proof is about the sampled loop itself."""
+    return any(claim.proof is not None for claim in controller.claims_of(SampledLoop))

@@ -187,8 +187,8 @@ class _Search:
             run = [] if self.begun is None else [one for one in self.room.starts if one.kind == "run"]
             late = [replace(one, z=self.begun) for one in run]
             return [*(one for one in self.room.starts if one.kind == "exact"), *late]
-        own, loads = ("exact", "sizes", "members"), len(self.controller.L) - len(self.controller.plant.B)
-        return [one if one.kind in own else one.with_more(self.off, loads) for one in self.room.starts]
+        loads = len(self.controller.L) - len(self.controller.plant.B)
+        return [one.with_more(self.off, loads) for one in self.room.starts]
 
     @cached_property
     def ticks(self) -> SaturatedTicks:

@@ -201,10 +201,8 @@ def _against_folder(content: dict[str, Any], folder: Path, spec: Spec, said: lis
     """Make a certificate and the files beside it again, and add what was compared and what differs."""
     known = _json(folder / CONTROLLER)
     if known is not None and known.get("program"):
-        own, spec = (
-            spec.scenario.conditions.sampling,
-            as_exported(spec, Sampled.model_validate(known["program"]), folder),
-        )
+        own = spec.scenario.conditions.sampling
+        spec = as_exported(spec, Sampled.model_validate(known["program"]), folder)
         if own is not None and spec.scenario.conditions.sampling != own:
             h = known["program"]["sample_time"]
             said.append(f"exported at a sample time of its own, {h:g} s, where the spec has {own.sample_time:g} s")

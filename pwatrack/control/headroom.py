@@ -99,9 +99,12 @@ class Starts:
         return np.vstack([rows for rows in (self.e, self.delta, self.load) if rows is not None])
 
     def with_more(self, off: Array, loads: int) -> "Starts":
-        """Return them with x̂ − x by so much more, (n, q), of any sign, of a plant with so many states of loads."""
+        """Return them with x̂ − x by so much more, (n, q), of any sign, of a plant with so many states of loads.
+
+        Only those of a run or an ensemble begin with an x̂ that is made of what is measured; others are as they were.
+        """
         off = off[:, off.any(axis=0)]
-        if not off.size:
+        if self.kind not in ("run", "ensemble") or not off.size:
             return self
         e, wider = self.e, ((0, 0), (0, off.shape[1]))
         delta = np.hstack([np.zeros_like(e) if self.delta is None else self.delta, off])

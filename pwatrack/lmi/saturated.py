@@ -167,10 +167,8 @@ class SaturatedLoop:
         V, inside = near
         B, D = solve_triangular(V, self.B.floats, lower=True), self.D.floats @ V
         units = np.linalg.norm(D, axis=1)  # in which D is 1
-        room, units = (
-            np.where(units > 0, room, 0.0),
-            np.where(units > 0, units, 1.0),
-        )  # an input that is not used: H = 0
+        room = np.where(units > 0, room, 0.0)  # H = 0 of an input that is not used
+        units[units == 0] = 1.0
         if not room.any():
             return
         speed, G = max(float(np.abs(inside).max()), 1e-300), solve_triangular(V, G[:, acts], lower=True)

@@ -16,7 +16,7 @@ from pwatrack.arrays import amount, number_text
 from pwatrack.claims.limits import NoSaturation
 from pwatrack.claims.region import LimitedRegion
 from pwatrack.claims.registry import brief
-from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled import SampledLoop, proved_as_sampled
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBox
 from pwatrack.claims.sampled_region import SampledRegion
@@ -177,8 +177,8 @@ def _off(found: Findings, many: EnsembleResult) -> int:
 def _proved(found: Findings) -> Iterator[Row]:
     """Yield what is proved, and the gains, of the loop that runs; if that is not proved, of the ideal one."""
     spec, controller, assessment, result = found.spec, found.controller, found.assessment, found.result
-    sampled = [claim.proof is not None for claim in controller.claims_of(SampledLoop)]
-    ideal, runs = "ideal loop", any(sampled)
+    sampled = controller.claims_of(SampledLoop)
+    ideal, runs = "ideal loop", proved_as_sampled(controller)
     for name, share in ({} if result is None or not runs or _settles(spec, controller) else result.at_limits).items():
         if share:
             yield "as sampled", f"{name} is at a limit {percent(share)} of the time, of which nothing is proved"

@@ -12,7 +12,7 @@ from rich.table import Table
 from pwatrack.arrays import amount, complex_text, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.registry import rows
-from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled import proved_as_sampled
 from pwatrack.control.controller import Row
 from pwatrack.control.words import sized
 from pwatrack.report.figures import ensemble_measures, load_content, measures, norm_unit, percent
@@ -63,7 +63,7 @@ def _all_rows(found: Findings) -> Iterator[Row]:
 def _proof_texts(result: SimulatedLoop) -> Iterator[str]:
     """Yield what of the loop that ran the proofs are not about."""
     if conditions := result.loop.beyond_the_proofs(result.spec.problem.units):
-        sampled = any(claim.proof is not None for claim in result.controller.claims_of(SampledLoop))
+        sampled = proved_as_sampled(result.controller)
         but = "; of these, the sampling is in the proof of the sampled loop" * sampled
         yield f"are about the loop without: {'; '.join(conditions)}{but}"
     if result.controller.trajectory.growth is not None:

@@ -13,7 +13,7 @@ import numpy as np
 from pwatrack.arrays import TINY, Array, number_text, up
 from pwatrack.claims.bounds import SignalBounds
 from pwatrack.claims.limits import NoSaturation
-from pwatrack.claims.sampled import SampledLoop
+from pwatrack.claims.sampled import SampledLoop, proved_as_sampled
 from pwatrack.claims.sampled_bounds import SampledBounds
 from pwatrack.claims.sampled_box import SampledBoxBounds
 from pwatrack.control.bounds import Channel, Form
@@ -108,7 +108,7 @@ def assessed(spec: Spec, controller: ProvedController) -> Assessment:
         *_sampling(spec, controller, margins),
         *_little_margin(controller, margins, spec.words.goals),
     ]
-    runs = any(claim.proof is not None for claim in controller.claims_of(SampledLoop))
+    runs = proved_as_sampled(controller)
     return Assessment(
         acting=acting,
         ends=ends if known is not None or not runs else {},  # else they are of another loop than the one that runs
@@ -263,7 +263,7 @@ def _sampling(spec: Spec, controller: ProvedController, margins: Margins | None)
                 f"{letter} may change by {100 * share:.2g} % only, and single precision changes it by "
                 f"{100 * _SINGLE:.1g} %: a smaller rate, or 'sizes', helps"
             )
-    if sampling is None or any(claim.proof is not None for claim in controller.claims_of(SampledLoop)):
+    if sampling is None or proved_as_sampled(controller):
         return
     if found := refused(controller, spec.scenario.conditions):
         yield not_simulated(found[0])

@@ -115,23 +115,28 @@ def _name_cell(
     That is in the middle of its points (k, 2), or at another of them if that hides less of what is drawn, (s, 2).
     """
     box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
-    text, best = axes.text(0, 0, name, fontsize=8, ha="center", va="center", bbox=box), (len(drawn) + 1, 0.0, 0.0, 0)
+    text, sizes = axes.text(0, 0, name, fontsize=8, ha="center", va="center", bbox=box), dict[int, Array]()
+    for rotation in (0, 90):
+        text.set_rotation(rotation)
+        sizes[rotation] = np.array(text.get_window_extent().size)
     middle = inside.mean(axis=0)
+    best = len(drawn) + 1, middle, 0
     others = inside[np.linspace(0, len(inside) - 1, _PLACES).astype(int)]
     others = others[np.argsort(np.linalg.norm((others - middle) / np.ptp(inside, axis=0).clip(1e-300), axis=1))]
-    for (x, y), rotation in product((middle, *others), (0, 90)):
-        text.set(position=(x, y), rotation=rotation)
-        extent = text.get_window_extent()
+    for place, rotation in product((middle, *others), sizes):
+        at, half = axes.transData.transform(place), sizes[rotation] / 2
+        extent = Bbox([at - half, at + half])
         corners = axes.transData.inverted().transform(extent.corners())
         shown = all(axes.bbox.contains(*corner) for corner in extent.corners())
-        if best[0] and shown and within(corners) and not any(extent.overlaps(other) for other in placed):
-            low, high = np.array(extent.min) - _CLEAR, np.array(extent.max) + _CLEAR
-            hidden = int(((drawn >= low) & (drawn <= high)).all(axis=1).sum())
-            best = min(best, (hidden, x, y, rotation), key=lambda one: one[0])
+        if shown and within(corners) and not any(extent.overlaps(other) for other in placed):
+            hidden = int((np.abs(drawn - at) <= half + _CLEAR).all(axis=1).sum())
+            best = min(best, (hidden, place, rotation), key=lambda one: one[0])
+        if not best[0]:
+            break
     if best[0] > len(drawn):
         text.remove()
         return
-    text.set(position=best[1:3], rotation=best[3])
+    text.set(position=best[1], rotation=best[2])
     placed.append(text.get_window_extent())
 
 
