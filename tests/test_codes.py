@@ -54,6 +54,11 @@ def test_what_has_no_code_of_its_own_has_that_of_its_exit_code(number: ExitCode)
     assert explanation(code_of("nobody has said this", number)).startswith(f"P{int(number)}00: ")
 
 
+def test_names_of_the_file_choose_no_code() -> None:
+    said = "not of form (11): row C A^1 differs between cells 'overlap inside' and 'overlap below'"
+    assert code_of(said, ExitCode.OUTSIDE_THEORY) == "P304"
+
+
 @pytest.mark.parametrize("code", ["P999", "", "303", "P30"])
 def test_other_codes_are_refused(code: str) -> None:
     with pytest.raises(InvalidSpec, match="is no code"):

@@ -349,6 +349,33 @@ def test_the_simulated_cost_never_exceeds_its_bound(specs: Path, tmp_path: Path)
         assert 0.1 * bound < cost <= bound * (1 + 1e-5)
 
 
+def test_the_bound_of_the_cost_says_what_has_to_be_known(tmp_path: Path) -> None:
+    """A load that is not yet known drives e, so from e(0) = 0 and x̂(0) = x(0) the cost is not 0."""
+    path = tmp_path / "load.yaml"
+    path.write_text("""\
+name: Cost with a load
+system:
+  states: [z, v]
+  inputs: [u]
+  outputs: [y]
+  A: [[0, 1], [-1, -1]]
+  nonlinearities: [{name: s, kind: spring, of: z, start: 5, slope: 0.1, into: {v: -1}}]
+  B: [[0], [1]]
+  C: [[1, 0]]
+design: {controller: {cost: {Q: [[1, 0], [0, 1]], R: [[1]]}}, estimate: {f: {into: {v: 1}}}}
+reference: {output: 0}
+simulation: {duration: 30, sample_time: 0.01, disturbance: {v: {constant: 1}}}
+""")
+    result = simulate(load_spec(path))
+    e, v = result.response.x - result.response.x_d, result.response.u - result.response.u_ff
+    assert not e[0].any()
+    assert float(np.trapezoid((e**2).sum(axis=1), result.response.t)) > 0.1
+    assert v.any()
+    claim = result.controller.claim(Costs)
+    (said,) = claim.texts(CONTROLLER, result.spec.words, result.controller)
+    assert "from x̂(0) = x(0), ŝ(0) = s(0), for any switching" in said
+
+
 def test_switching_turns_noise_into_a_bias_and_the_bound_that_is_printed_holds() -> None:
     """Δ1' = −b Δ1 − v rectified into Δ2' = κ max(0, Δ1) − ε Δ2: its mean is κ σ / (ε √(4 π b)) for x = 0.
 

@@ -227,6 +227,28 @@ def test_what_no_parameter_mends_is_said_so(specs: Path, tmp_path: Path) -> None
     assert json.loads((tmp_path / "run.json").read_text())["how_far"]["parameters"] == []
 
 
+def test_values_that_make_a_matrix_singular_to_rounding_lose_no_refusal(tmp_path: Path) -> None:
+    """Both vessels together hold as much as they did: an eigenvalue is 0 whatever the parameters are."""
+    path = tmp_path / "vessels.yaml"
+    path.write_text("""\
+name: Closed loop of two vessels
+parameters: {R: 1.0, Ca: 1.5, Cv: 10, L: 0.05, Rl: 0.1, ks: 3, P: 2}
+system:
+  states: [pa, pv, q]
+  inputs: [H]
+  outputs: [flow]
+  A: [[-1/(R*Ca), 1/(R*Ca), 1/Ca], [1/(R*Cv), -1/(R*Cv), -1/Cv], [-1/L, 1/L, -Rl/L]]
+  B: [[0], [0], [1/L]]
+  C: [[0, 0, 1]]
+  nonlinearities: [{name: suction, kind: spring, of: -pv, start: -P, slope: ks, into: {q: -1/L}}]
+reference: {output: "80+20*sin(7*t)"}
+simulation: {duration: 20, sample_time: 0.01}
+""")
+    run = CliRunner().invoke(app, ["design", str(path), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 4
+    assert "no value of a single parameter was found" in run.stderr
+
+
 def test_a_mode_that_decays_too_slowly_for_the_rate_asked_is_refused() -> None:
     plant = linear(np.diag([-0.5, -3.0]), np.array([[0.0], [1.0]]), np.ones((1, 2)))
     check_modes(plant, AtLeast(rate=0.4), DEFAULT, Sizes.of(plant))

@@ -307,6 +307,19 @@ def test_how_long_an_input_was_at_its_limit_is_what_its_samples_say(tmp_path: Pa
     assert free.figures.lowest["u"] == pytest.approx(free.response.u.min(), rel=1e-3)
 
 
+def test_a_limit_of_what_still_waits_is_said_of_what_is_computed(tmp_path: Path) -> None:
+    more = """\
+  initial: {plant: [0.5, 0], observer: [0.5, 0]}
+  actuator: {limits: {u: [-9, 7]}}
+  controller: {sample_time: 0.02, delay: %d}
+"""
+    for delay in (0, 2):
+        said = call("simulate", stage(tmp_path, more=more % delay), "--out", tmp_path / f"out{delay}").stdout
+        told = " ".join(said.split())
+        assert "% of the time" in told
+        assert ("% of the time as computed" in told) == (delay > 0)
+
+
 @pytest.mark.parametrize("program", ["", "  controller: {sample_time: 0.02}\n"])
 def test_an_input_begins_with_the_first_value_that_it_has(tmp_path: Path, program: str) -> None:
     """And not at 0, where a program is before it starts."""

@@ -10,6 +10,7 @@ import numpy as np
 from pwatrack.arrays import Array, readonly, up
 from pwatrack.ball_matrix import BallMatrix, different
 from pwatrack.claims.exact_text import decimal_texts, doubles
+from pwatrack.claims.stable_inversion import StableInversion
 from pwatrack.control.controller import Asked, Claim, ProvedController, Told
 from pwatrack.control.goal import LeastCost
 from pwatrack.control.task import Task
@@ -61,10 +62,12 @@ class Costs(Claim):
             return
         X, goal = self.X[role], self.goals[role]
         if role is CONTROLLER:
-            yield (
-                "∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from x̂(0) = x(0), for any switching; e = x − x_d, v = u − u_ff, "
-                "X in gains.json"
-            )
+            if not controller.claims_of(StableInversion):  # what is played back leaves drives e for ever
+                known = "x̂(0) = x(0)" + ", ŝ(0) = s(0)" * (words.plant.loads is not None)
+                yield (
+                    f"∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from {known}, for any switching; e = x − x_d, v = u − u_ff, "
+                    "X in gains.json"
+                )
         elif len(different(words.plant.exact.A)) == 1:
             yield "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
         else:
@@ -83,9 +86,10 @@ def read_costs(content: Mapping[str, Any]) -> dict[str, Array]:
 def cost_bound(task: Task, K: Array, Q: Array, R: Array) -> Array:
     """Return X (n, n) with X M_i + M_iᵀ X + Q + KᵀRK ≺ 0 for M_i = A_i + B K, proved exactly, of small trace.
 
-    For K it bounds ∫(eᵀQe + vᵀRv) dt from x̂(0) = x(0) by e(0)ᵀ X e(0), e = x − x_d and v = u − u_ff. For the observer,
-    with A_iᵀ, Cᵀ and Lᵀ, W = Q + L R Lᵀ and white noise of density Q on ẋ and R on y, the average of E[Δᵀ X⁻¹ W X⁻¹ Δ]
-    over a long time is at most tr(X⁻¹W); the covariance of Δ = x̂ − x is at most X only where all M_i are the same. Both
+    For K it bounds ∫(eᵀQe + vᵀRv) dt by e(0)ᵀ X e(0), e = x − x_d and v = u − u_ff, where nothing but e drives e: from
+    x̂(0) = x(0), of loads that are estimated ŝ(0) = s(0), and where x_d is not played back. For the observer, with A_iᵀ,
+    Cᵀ and Lᵀ, W = Q + L R Lᵀ and white noise of density Q on ẋ and R on y, the average of E[Δᵀ X⁻¹ W X⁻¹ Δ] over a long
+    time is at most tr(X⁻¹W); the covariance of Δ = x̂ − x is at most X only where all M_i are the same. Both
     are proved in `docs/theory/beyond.md`, *Costs*. Raises Undecided if no X could be proved.
 
     Example:

@@ -120,7 +120,7 @@ class SampledLoop(SampledClaim):
         gains = self.gains
         every = f"sampled every {number_text(gains.sample_time)} s"
         if gains.jitter:
-            every += f", give or take {down(gains.jitter)} s"
+            every += f", give or take {number_text(gains.jitter)} s"
         if gains.delay:
             every += f", inputs {amount(gains.delay, 'sample')} late"
         if gains.substeps > 1:

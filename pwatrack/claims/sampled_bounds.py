@@ -402,12 +402,12 @@ class SampledBounds(TubeBounds):
             late = " from its first input on" * bool(self.errors.gains.delay)
             yield "in this run", f"nothing acts on the sampled loop{late}: its errors go to 0, but for rounding{off}"
             if late and self.from_start:
-                yield "", f"{begins} never more than {', '.join(always)}"
+                yield "", f"{begins} never more than {', '.join(always)}{off}"
         elif ends:
             said = f"{ends} in the end in the sampled loop, for any switching, between ticks too"
             yield "in this run", f"{said}, beside what is left of the start{off}"
             if self.from_start or not self.errors.gains.delay:
-                yield "", f"{begins} never more than {', '.join(always)}"
+                yield "", f"{begins} never more than {', '.join(always)}{off}"
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
             proof = controller.claim(SampledLoop).proof

@@ -52,6 +52,8 @@ def _candidates(M: Array) -> Iterator[Array]:
         return
     yield start
     values, vectors = np.linalg.eigh(start)
+    if not np.isfinite(values).all() or not values.all():  # P is singular to rounding
+        return
     T, inverse = vectors * np.sqrt(np.abs(values)), (vectors / np.sqrt(np.abs(values))).T
     at = inverse @ extreme(M) @ T
     speed = float(np.linalg.norm(at, 2, axis=(1, 2)).max())

@@ -66,7 +66,8 @@ def code_of(message: str, exit_code: ExitCode) -> str:
         ('P203', 'P500')
     """
     number = str(int(exit_code))
-    fits = (kind.code for kind in CODES if kind.code[1] == number and re.search(kind.like, message))
+    said = re.sub(r"(?<!\w)'[^']*'(?!\w)", "''", message)  # names in it are the file's
+    fits = (kind.code for kind in CODES if kind.code[1] == number and re.search(kind.like, said))
     return next(fits, f"P{number}00")
 
 

@@ -181,7 +181,8 @@ def _proved(found: Findings) -> Iterator[Row]:
     ideal, runs = "ideal loop", proved_as_sampled(controller)
     for name, share in ({} if result is None or not runs or _settles(spec, controller) else result.at_limits).items():
         if share:
-            yield "as sampled", f"{name} is at a limit {percent(share)} of the time, of which nothing is proved"
+            held = f"at a limit {percent(share)} of the time{_computed(result)}"
+            yield "as sampled", f"{name} is {held}, of which nothing is proved"
     for label, text in brief(spec.words, controller):
         if not (runs and label == ideal) and not (sampled and label == "K, L"):
             yield label, text
@@ -284,6 +285,12 @@ def _beyond(found: Findings) -> Iterator[str]:
         yield "that x_d is bounded and what was asked for: it is not"
 
 
+def _computed(result: SimulatedLoop | None) -> str:
+    """Say that inputs are looked at before they wait, where they act late."""
+    sampling = None if result is None else result.loop.conditions.sampling
+    return " as computed" * (sampling is not None and sampling.delay > 0)
+
+
 def _inputs(result: SimulatedLoop) -> Iterator[Row]:
     """Yield between which values each input was, its limits, and how long it was at one."""
     limits, units, figures = result.loop.conditions.limits, result.spec.problem.units, result.figures
@@ -295,7 +302,7 @@ def _inputs(result: SimulatedLoop) -> Iterator[Row]:
             ends = " and ".join(number_text(v, "g") for v in limits[k].tolist() if abs(v) < float("inf"))
             touched = figures.lowest[name] <= limits[k, 0] or figures.highest[name] >= limits[k, 1]
             never = "never asked for more" if touched else "never reached"
-            of = f"limits {ends}, " + (f"at them {percent(share)} of the time" if share else never)
+            of = f"limits {ends}, " + (f"at them {percent(share)} of the time{_computed(result)}" if share else never)
         seen = figures.seen("largest_input")
         yield "input", f"{name} from {low} to {high} {units.get(name, '')}".rstrip() + f"{seen} ({of})"
 

@@ -85,7 +85,8 @@ def _all_courses(
                 course = make()
                 if course.end is not None and course.end < horizon * (1 - _AT_ONCE):
                     text = f" ends at t = {course.end:.6g} s, the simulation lasts until {horizon:.6g} s"
-                    raise _refused(text, (*subject, *where), "shorten the simulation or lengthen the signal")
+                    hint = "shorten the simulation or lengthen the signal; a move, then rest is a step with 'smooth'"
+                    raise _refused(text, (*subject, *where), hint)
                 courses.append(course)
             except InvalidSpec as error:
                 problems += error.problems
