@@ -7,7 +7,7 @@ from typing import Any, get_args
 import numpy as np
 import picos
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 from scipy.optimize import linprog
@@ -344,6 +344,7 @@ def test_a_marginal_plant_is_called_undecided_after_at_most_52_programs(
 
 @given(seed=seeds, n=st.integers(2, 8), m=st.integers(1, 3), cells=st.integers(2, 6))
 @settings(max_examples=15)
+@example(seed=265, n=2, m=1, cells=2)  # what follows gets lost after three steps
 def test_an_answer_is_the_same_wherever_it_is_looked_for(seed: int, n: int, m: int, cells: int) -> None:
     """From an infeasible start, or from the answer to another program."""
     A, B = feasible(seed, n, m, cells, 1e-2)

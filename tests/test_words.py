@@ -202,7 +202,7 @@ CELLS = """\
     [
         ("", "", "b: [0, 0.4] in cell 'touching' would make it continuous"),
         (", b: [0, 1]", "", "b: [0, 1.4] in cell 'touching' would make it continuous"),
-        ("", ", b: [0, 1]", "b: [0, 0.6] in cell 'free' would make it continuous"),
+        ("", ", b: [0, 1]", "b: [0, 0.4] in cell 'touching' would make it continuous"),
         (", b: [0, 1]", ", b: [0, 2]", "correct the cell"),
     ],
 )

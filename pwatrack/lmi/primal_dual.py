@@ -87,7 +87,7 @@ def solve(
         nothing = 0.0 if after is None else _NOTHING * abs(after.objective)
         continued = None if after is None else _continued(linear, after)
         found = None if continued is None else _minimise(linear, continued, gap, against, nothing)
-        if found is None or found[2]:
+        if found is None or found[2] or _lost(linear, found[0], gap, against, nothing):
             found = _minimise(linear, _start(linear), gap, against, nothing)
     if found is None:
         return None
@@ -122,6 +122,14 @@ def least(linear: LinearMap, *, gap: float, against: float | None = None, near: 
         if not (good or known):  # multipliers do not say how good v is
             found = _minimise(linear, _start(linear), gap, against, 0.0, proof=False)
     return None if found is None or found[2] else found[0].v
+
+
+def _lost(linear: LinearMap, at: _Iterate, share: float, against: float | None, nothing: float) -> bool:
+    """Say whether not even the size of the objective is known where it ended."""
+    rest = _Rest(linear, at)
+    if against is not None and rest.objective < against:
+        return False
+    return rest.gap > max(share, _SIGN) * max(abs(rest.objective - (against or 0.0)), nothing, _LEAST_GAP)
 
 
 def _map(program: SemidefiniteProgram) -> LinearMap:

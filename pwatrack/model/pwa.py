@@ -245,7 +245,7 @@ class PWASystem:
         pair = (facet.j, facet.i) if origin_at_i else (facet.i, facet.j)  # first the one without the origin
         for cell, neighbour in (pair, pair[::-1]):
             b = continuous_offset(self.A[cell], self.A[neighbour], self.b[neighbour], H, h)
-            if b is not None and not self.b[cell].any():  # one that has none of its own
+            if b is not None and not (self.b[cell].any() and self.b[neighbour].any()):  # else either may be wrong
                 entries, name = ", ".join(number_text(value, ".9g") for value in b), self.cell_names[cell]
                 hint = f"b = ({entries}) in cell '{name}' would mend it"
                 remedy = Remedy(Way.OFFSET, (entries, name))

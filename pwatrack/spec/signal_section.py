@@ -204,7 +204,8 @@ class ReferenceSection(Section):
         if len(given) != 1 or given[0] not in fitting:
             found = " and ".join(given) or "nothing"
             text = f"{context.tracking} tracking needs a reference that is {' or '.join(fitting)}, found {found}"
-            yield Fault(text, late=True)
+            other = "'tracking: state' under design tracks states" * (len(given) == 1 and given[0] in kinds["state"])
+            yield Fault(text, hint=other or "a 'setpoint' is the simplest" * ("setpoint" in fitting), late=True)
         if self.start is not None and self.input is None:
             yield Fault("start goes with a reference 'input' only", ("start",))
         if self.preview != "auto" and self.output is None:

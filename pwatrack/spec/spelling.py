@@ -36,7 +36,7 @@ _PATHS: Mapping[ProblemPart, Subject] = {
 _STATE_TRACKING = "{hint}; state tracking (Theorem 2) needs no form (11) and no (17), only (8) and (9)"
 _PRACTICAL = "{hint}; cells that are merged may give a bound of the error"
 _WORDS: Mapping[Way, str] = {
-    Way.STATE_TRACKING: f"{_STATE_TRACKING}: write 'tracking: state', with a reference that is 'state' or 'input'",
+    Way.STATE_TRACKING: f"{_STATE_TRACKING}: write 'tracking: state', with a reference 'setpoint', 'state' or 'input'",
     Way.PRACTICAL: f"{_PRACTICAL}: write 'tracking: practical'",
     Way.STATE_OR_PRACTICAL: f"{_STATE_TRACKING}: write 'tracking: state'; or 'tracking: practical', for a bound",
     Way.TRACKED: "{hint}: for example track: [{0}] under system",
