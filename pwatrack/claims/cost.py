@@ -58,16 +58,16 @@ class Costs(Claim):
 
     def texts(self, role: Role, words: Words, controller: ProvedController) -> Iterator[str]:
         """Yield what the bound of the cost of one gain means."""
-        if role not in self.X:
+        played = role is CONTROLLER and controller.claims_of(StableInversion)  # what that leaves drives e for ever
+        if role not in self.X or played:
             return
         X, goal = self.X[role], self.goals[role]
         if role is CONTROLLER:
-            if not controller.claims_of(StableInversion):  # what is played back leaves drives e for ever
-                known = "x̂(0) = x(0)" + ", ŝ(0) = s(0)" * (words.plant.loads is not None)
-                yield (
-                    f"∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from {known}, for any switching; e = x − x_d, v = u − u_ff, "
-                    "X in gains.json"
-                )
+            known = "x̂(0) = x(0)" + ", ŝ(0) = s(0)" * (words.plant.loads is not None)
+            yield (
+                f"∫(eᵀQe + vᵀRv) dt ≤ e(0)ᵀ X e(0) from {known}, for any switching; e = x − x_d, v = u − u_ff, "
+                "X in gains.json"
+            )
         elif len(different(words.plant.exact.A)) == 1:
             yield "covariance of Δ = x̂ − x ⪯ X under the white noise given, from x̂(0) = x(0); X in gains.json"
         else:

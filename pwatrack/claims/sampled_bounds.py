@@ -398,16 +398,17 @@ class SampledBounds(TubeBounds):
         most = self.from_start or self.from_zero
         always = words.limits(shown({form: float(each.max()) for form, each in most.items()}))
         begins = "from the start of this run on" if self.from_start else "from x = x̂ = x_d on"
+        never = f"{begins} never more than {', '.join(always)}{off}"
         if self.idle:
             late = " from its first input on" * bool(self.errors.gains.delay)
             yield "in this run", f"nothing acts on the sampled loop{late}: its errors go to 0, but for rounding{off}"
             if late and self.from_start:
-                yield "", f"{begins} never more than {', '.join(always)}{off}"
+                yield "", never
         elif ends:
             said = f"{ends} in the end in the sampled loop, for any switching, between ticks too"
             yield "in this run", f"{said}, beside what is left of the start{off}"
             if self.from_start or not self.errors.gains.delay:
-                yield "", f"{begins} never more than {', '.join(always)}{off}"
+                yield "", never
             yield "", f"that is what these leave, as they act in this run: {acts or 'u_ff as it is held'}"
         else:
             proof = controller.claim(SampledLoop).proof

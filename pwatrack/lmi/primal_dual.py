@@ -127,9 +127,8 @@ def least(linear: LinearMap, *, gap: float, against: float | None = None, near: 
 def _lost(linear: LinearMap, at: _Iterate, share: float, against: float | None, nothing: float) -> bool:
     """Say whether not even the size of the objective is known where it ended."""
     rest = _Rest(linear, at)
-    if against is not None and rest.objective < against:
-        return False
-    return rest.gap > max(share, _SIGN) * max(abs(rest.objective - (against or 0.0)), nothing, _LEAST_GAP)
+    below = against is not None and rest.objective < against
+    return not below and rest.gap > rest.wanted(max(share, _SIGN), against, nothing)
 
 
 def _map(program: SemidefiniteProgram) -> LinearMap:
@@ -159,7 +158,7 @@ def _minimise(
             break
         rest = _Rest(linear, at)
         gap, mu = rest.gap, rest.gap / linear.blocks.order
-        wanted = max(share * max(abs(rest.objective - (against or 0.0)), nothing), _LEAST_GAP)
+        wanted = rest.wanted(share, against, nothing)
         off = rest.missed / units[0], float(np.abs(rest.slope).max()) / units[1]
         lowest = min(lowest, gap)
         if not 0 < gap < np.inf or ((best is not None or not proof) and gap > _LOST * lowest):
@@ -204,6 +203,10 @@ class _Rest:
         self.value = float(linear.constant @ at.z - at.y @ linear.values)  # of the dual
         # no v has A(v) + C ⪯ 0, F v = b where A*(Z) + Fᵀ y = 0 and tr C Z > bᵀ y
         self.impossible = self.value > 0 and bool(np.abs(self.slope + linear.cost).max() <= _IMPOSSIBLE * self.value)
+
+    def wanted(self, share: float, against: float | None, nothing: float) -> float:
+        """Return a share of the objective, or of its distance from a number, as a gap."""
+        return max(share * max(abs(self.objective - (against or 0.0)), nothing), _LEAST_GAP)
 
 
 def _start(linear: LinearMap) -> _Iterate:
